@@ -1,0 +1,34 @@
+# The Python that the environment is made with: 3.10 to 3.14.
+PYTHON ?= python3
+BIN := .venv/bin
+
+# A sourced ROS 2 brings rclpy, OpenCV and NumPy of its own; elsewhere they come as wheels.
+SOURCED_ROS := $(and $(ROS_DISTRO),$(shell $(PYTHON) -c 'import rclpy' 2>/dev/null && echo yes))
+VENV_FLAGS := $(if $(SOURCED_ROS),--system-site-packages)
+EXTRAS := bags,test,lint,colcon$(if $(SOURCED_ROS),,$(comma)wheels)
+CONSTRAINTS := $(if $(SOURCED_ROS),,-c constraints.txt)
+comma := ,
+
+.PHONY: venv demo test lint clean
+
+venv: .venv/complete
+
+.venv/complete: setup.py setup.cfg pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(VENV_FLAGS) .venv
+	$(BIN)/python -m pip install --quiet --upgrade 'pip>=24' 'setuptools>=64,<80' wheel
+	$(BIN)/python -m pip install --quiet $(CONSTRAINTS) --no-build-isolation --editable '.[$(EXTRAS)]'
+	touch $@
+
+demo: venv
+	$(BIN)/python -m turbseg_ros.cli.demo --out out/demo
+
+test: lint
+	$(BIN)/python -m pytest
+
+lint: venv
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+clean:
+	rm -rf .venv out build install log

@@ -1,0 +1,51 @@
+"""Build of the turbseg_ros package, by pip and by colcon alike."""
+
+from glob import glob
+
+from setuptools import find_packages, setup
+
+PACKAGE = "turbseg_ros"
+
+EXECUTABLES = ("node", "play", "replay", "evaluate", "simulate", "import")
+
+setup(
+    name=PACKAGE,
+    version="0.1.0",
+    description="Live segmentation of moving objects seen through atmospheric turbulence.",
+    author="turbseg_ros maintainers",
+    maintainer="turbseg_ros maintainers",
+    maintainer_email="maintainers@turbseg-ros.invalid",
+    license="Apache-2.0",
+    packages=find_packages(exclude=["test", "test.*"]),
+    package_data={PACKAGE: ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
+        (f"share/{PACKAGE}", ["package.xml"]),
+        (f"share/{PACKAGE}/config", sorted(glob("config/*"))),
+        (f"share/{PACKAGE}/launch", sorted(glob("launch/*.launch.py"))),
+    ],
+    python_requires=">=3.10",
+    install_requires=["setuptools", "numpy", "scipy", "PyYAML", "tqdm"],
+    extras_require={
+        # What a machine without ROS 2 takes from the package registry; a ROS machine has these
+        # from its own distribution (package.xml), under other package names.
+        "wheels": [
+            "ros-jazzy-rclpy",
+            "ros-jazzy-common-interfaces",
+            "ros-jazzy-rmw-fastrtps-cpp",
+            "ros-wheels-bootstrapper",
+            "opencv-python-headless",
+        ],
+        "bags": ["mcap"],
+        "test": ["pytest", "pytest-timeout", "hypothesis", "rosbags"],
+        "lint": ["ruff", "mypy", "types-PyYAML", "types-tqdm", "scipy-stubs"],
+        "colcon": ["colcon-common-extensions"],
+    },
+    zip_safe=True,
+    entry_points={
+        "console_scripts": [
+            f"turbseg_{name} = {PACKAGE}.cli.{'import_' if name == 'import' else name}:main"
+            for name in EXECUTABLES
+        ],
+    },
+)

@@ -1,0 +1,1 @@
+"""Live segmentation of moving objects seen through atmospheric turbulence."""

@@ -1,0 +1,234 @@
+"""Every parameter of the package, declared once.
+
+ROS descriptors, the check of YAML files, command lines and the README's table all follow from the
+dataclasses below. A parameter's public name is its path, dots between: ``flow.interval``.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+
+Value = bool | int | float | str
+
+T = TypeVar("T")
+
+# Sections of a ROS parameter file that speak to this node.
+_NODE_SECTIONS = ("/**", "/*", "turbseg", "/turbseg")
+# Names every ROS node has, which are the middleware's business and not ours.
+_MIDDLEWARE_NAMES = ("use_sim_time", "qos_overrides", "start_type_description_service")
+
+
+class ParameterError(ValueError):
+    """A parameter that is unknown, of the wrong type or out of range; the text says which."""
+
+
+@dataclass(frozen=True)
+class Declaration:
+    """What is known of one parameter."""
+
+    name: str
+    default: Value
+    description: str
+    unit: str = ""
+    minimum: float | None = None
+    maximum: float | None = None
+    choices: tuple[str, ...] = ()
+    read_only: bool = False
+
+    @property
+    def type(self) -> type[Value]:
+        """The parameter's type: bool, int, float or str."""
+        return type(self.default)
+
+    def check(self, value: object) -> Value:
+        """Give `value` in the declared type.
+
+        :raises ParameterError: when it has another type, is out of range or is no listed choice.
+        """
+        if self.type is float and isinstance(value, int) and not isinstance(value, bool):
+            value = float(value)
+        if type(value) is not self.type:
+            raise ParameterError(
+                f"parameter {self.name} takes {_article(self.type)}, not {value!r}"
+            )
+        if self.choices and value not in self.choices:
+            raise ParameterError(
+                f"parameter {self.name} is one of {', '.join(self.choices)}, not {value!r}"
+            )
+        if isinstance(value, (int, float)) and not isinstance(value, bool):
+            low, high = self.minimum, self.maximum
+            # Written so that NaN fails too.
+            if not ((low is None or value >= low) and (high is None or value <= high)):
+                raise ParameterError(
+                    f"parameter {self.name} lies between {low} and {high}, not at {value}"
+                )
+        return value
+
+
+def parameter(
+    default: T,
+    description: str,
+    *,
+    unit: str = "",
+    minimum: float | None = None,
+    maximum: float | None = None,
+    choices: tuple[str, ...] = (),
+    read_only: bool = False,
+) -> T:
+    """Declare a dataclass field as a parameter."""
+    declared: T = field(
+        default=default,
+        metadata={
+            "description": description,
+            "unit": unit,
+            "minimum": minimum,
+            "maximum": maximum,
+            "choices": choices,
+            "read_only": read_only,
+        },
+    )
+    return declared
+
+
+@dataclass(frozen=True)
+class FlowParameters:
+    """Optical flow between a frame and its neighbours."""
+
+    interval: int = parameter(
+        4,
+        "Largest interval B between a frame and its neighbours, on both sides.",
+        unit="frames",
+        minimum=1,
+        maximum=16,
+        read_only=True,
+    )
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """All parameters, grouped as the stages of the method are."""
+
+    max_objects: int = parameter(
+        8,
+        "Number of slots, each with a mask topic of its own, and most objects at a time.",
+        minimum=1,
+        maximum=64,
+        read_only=True,
+    )
+    flow: FlowParameters = field(default_factory=FlowParameters)
+
+    @classmethod
+    def from_mapping(cls, values: Mapping[str, object]) -> Parameters:
+        """Build parameters from `{"flow.interval": 4, ...}`; what is not named has its default.
+
+        :raises ParameterError: for a name that is not declared or a value that is refused.
+        """
+        return cls().replace(values)
+
+    def replace(self, values: Mapping[str, object]) -> Parameters:
+        """Give a copy with the named values changed, all of them or, on an error, none.
+
+        :raises ParameterError: for a name that is not declared or a value that is refused.
+        """
+        known = {declaration.name: declaration for declaration in declarations()}
+        changed = self
+        for name, value in values.items():
+            if name not in known:
+                raise ParameterError(f"unknown parameter {name}{_suggestion(name, known)}")
+            changed = _with_value(changed, name.split("."), known[name].check(value))
+        return changed
+
+    def as_mapping(self) -> dict[str, Value]:
+        """Every parameter's value under its dotted name, in the order of declaration."""
+        return {name: value for name, _, value in _walk(self)}
+
+
+def declarations() -> tuple[Declaration, ...]:
+    """Give every parameter's declaration, in order."""
+    return tuple(
+        Declaration(name=name, default=value, **declared.metadata)
+        for name, declared, value in _walk(Parameters())
+    )
+
+
+def load_parameters(path: Path) -> Parameters:
+    """Read a ROS 2 parameter file (``/**: ros__parameters: ...``).
+
+    Sections of other nodes and names that belong to the middleware are passed over.
+
+    :raises ParameterError: when the file can't be read as one, or holds an unknown name or a
+        refused value; the text names the file.
+    """
+    try:
+        content = yaml.safe_load(path.read_text())
+    except OSError as error:
+        raise ParameterError(f"{path}: {error.strerror or error}") from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        reason = " ".join(str(error).split())
+        raise ParameterError(f"{path}: not a YAML file ({reason})") from error
+    try:
+        return Parameters.from_mapping(_own_values(content))
+    except ParameterError as error:
+        raise ParameterError(f"{path}: {error}") from error
+
+
+def _own_values(content: object) -> dict[str, object]:
+    if not isinstance(content, dict):
+        raise ParameterError("no ROS parameter file: expected '/**: ros__parameters: ...'")
+    values: dict[str, object] = {}
+    sections = [name for name in _NODE_SECTIONS if name in content]
+    if not sections:
+        raise ParameterError(f"no section for this node ({', '.join(_NODE_SECTIONS)})")
+    for name in sections:
+        section = content[name]
+        if not isinstance(section, dict) or not isinstance(section.get("ros__parameters"), dict):
+            raise ParameterError(f"section {name} has no mapping under 'ros__parameters'")
+        values.update(_flattened(section["ros__parameters"]))
+    return {
+        name: value
+        for name, value in values.items()
+        if name.split(".")[0] not in _MIDDLEWARE_NAMES
+    }
+
+
+def _flattened(tree: Mapping[Any, object], prefix: str = "") -> dict[str, object]:
+    flat: dict[str, object] = {}
+    for key, value in tree.items():
+        name = f"{prefix}{key}"
+        if isinstance(value, dict):
+            flat.update(_flattened(value, f"{name}."))
+        else:
+            flat[name] = value
+    return flat
+
+
+def _walk(group: Any, prefix: str = "") -> Iterator[tuple[str, dataclasses.Field[Any], Value]]:
+    for declared in dataclasses.fields(group):
+        value = getattr(group, declared.name)
+        if dataclasses.is_dataclass(value):
+            yield from _walk(value, f"{prefix}{declared.name}.")
+        else:
+            yield f"{prefix}{declared.name}", declared, value
+
+
+def _with_value(group: Any, path: list[str], value: Value) -> Any:
+    if len(path) > 1:
+        value = _with_value(getattr(group, path[0]), path[1:], value)
+    return dataclasses.replace(group, **{path[0]: value})
+
+
+def _suggestion(name: str, known: Mapping[str, Declaration]) -> str:
+    near = difflib.get_close_matches(name, known, n=1)
+    return f"; did you mean {near[0]}?" if near else ""
+
+
+def _article(kind: type[Value]) -> str:
+    names = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}
+    return names[kind]

@@ -1,0 +1,1 @@
+"""The method: numpy and OpenCV; no ROS, no files, no torch."""

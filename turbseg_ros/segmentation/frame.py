@@ -1,0 +1,60 @@
+"""What flows into the method and what comes out of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+Image = npt.NDArray[Any]
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One image of the camera.
+
+    `image` is HxW (grey) or HxWx3 (blue, green, red), uint8, uint16 or float32; `stamp` is the
+    time it was taken, in nanoseconds; `frame_id` names the camera's coordinate frame.
+    """
+
+    stamp: int
+    image: Image
+    frame_id: str = ""
+
+
+@dataclass(frozen=True)
+class MovingObject:
+    """One object that really moves, as it stands in one frame.
+
+    Lengths are pixels of the input image. `slot` is the output slot that the object keeps while
+    it lives, -1 when all were taken; `velocity` is pixels a frame against the scene; `trail` are
+    earlier centroids, oldest first, in this frame's coordinates.
+    """
+
+    id: int
+    slot: int
+    centroid: tuple[float, float]
+    velocity: tuple[float, float]
+    area: int
+    box: tuple[int, int, int, int]
+    trail: tuple[tuple[float, float], ...] = ()
+
+
+@dataclass(frozen=True)
+class SegmentationResult:
+    """What was found in one frame.
+
+    `labels` is uint16, HxW as the frame: 0 is background, k the object with id k. `motion_map` is
+    float32 at processing resolution: pixels a frame (of the input image) by which a point breaks
+    the camera's own motion. `tilt` is the measured turbulence: rms image motion a axis in input
+    pixels, NaN while unknown. `ego_motion_model` names the model chosen for the camera's motion.
+    """
+
+    frame: Frame
+    labels: npt.NDArray[np.uint16]
+    objects: tuple[MovingObject, ...]
+    motion_map: npt.NDArray[np.float32]
+    tilt: float
+    ego_motion_model: str

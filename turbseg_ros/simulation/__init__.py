@@ -1,0 +1,1 @@
+"""Turbulence and scenes with exact truth."""
