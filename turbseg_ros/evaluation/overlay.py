@@ -1,0 +1,219 @@
+"""Drawings on frames: outlines, ids and trails, and strips of several frames.
+
+An annotator draws one kind of mark on a canvas; what a picture shows is a sequence of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from turbseg_ros.segmentation.frame import Image, MovingObject, SegmentationResult
+
+Colour = tuple[int, int, int]
+
+# Blue, green, red. Bright on sky and ground alike, and neighbours in the list far apart.
+_PALETTE: tuple[Colour, ...] = (
+    (60, 225, 255),
+    (255, 120, 40),
+    (90, 90, 255),
+    (255, 255, 90),
+    (215, 90, 255),
+    (110, 255, 120),
+    (40, 150, 255),
+    (255, 190, 190),
+    (160, 255, 220),
+    (255, 80, 160),
+)
+_SHADOW: Colour = (20, 20, 20)
+_WHITE: Colour = (245, 245, 245)
+_FONT = cv2.FONT_HERSHEY_SIMPLEX
+# Height of a capital letter at scale 1, in pixels.
+_FONT_HEIGHT = 21.0
+# OpenCV takes sub-pixel positions as integers with this many fractional bits.
+_SHIFT = 4
+
+
+def colour_of(object_id: int) -> Colour:
+    """Give the colour (blue, green, red) that belongs to an object id."""
+    return _PALETTE[object_id % len(_PALETTE)]
+
+
+def outlines(
+    labels: npt.NDArray[np.uint16], moving_object: MovingObject
+) -> list[npt.NDArray[np.int32]]:
+    """Give an object's outer contours in the image, each Nx2 (x, y) and closed."""
+    x, y, width, height = moving_object.box
+    window = np.ascontiguousarray(labels[y : y + height, x : x + width])
+    mask = cv2.inRange(window, moving_object.id, moving_object.id)
+    contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE, offset=(x, y))
+    return [contour.reshape(-1, 2) for contour in contours]
+
+
+@dataclass(frozen=True)
+class Canvas:
+    """A picture to draw on: uint8 HxWx3, `scale` of its pixels to one of the frame's."""
+
+    image: npt.NDArray[np.uint8]
+    scale: float = 1.0
+
+    @classmethod
+    def of(cls, image: Image, width: int | None = None) -> Canvas:
+        """Make a canvas of a frame's image, resized to `width` where that is given."""
+        scale = 1.0 if width is None else width / image.shape[1]
+        if scale != 1.0:
+            interpolation = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_CUBIC
+            size = (round(image.shape[1] * scale), round(image.shape[0] * scale))
+            image = cv2.resize(image, size, interpolation=interpolation)
+        return cls(image=to_bgr8(image), scale=scale)
+
+    @property
+    def text_scale(self) -> float:
+        """Font scale at which a digit stays readable, whatever the size of the canvas."""
+        return float(np.clip(self.image.shape[0] / 28.0, 9.0, 30.0)) / _FONT_HEIGHT
+
+    def fixed_point(self, points: npt.ArrayLike) -> npt.NDArray[np.int32]:
+        """Give frame positions (x, y) on the canvas, in OpenCV's fixed-point numbers."""
+        # A pixel's centre lies at a whole number in the frame and on the canvas alike.
+        on_canvas = (np.asarray(points, dtype=np.float64) + 0.5) * self.scale - 0.5
+        return np.rint(on_canvas * (1 << _SHIFT)).astype(np.int32)
+
+
+class Annotator(Protocol):
+    """Something that draws one kind of mark for all objects of a result."""
+
+    def annotate(self, canvas: Canvas, result: SegmentationResult) -> None:
+        """Draw on `canvas`, in place."""
+
+
+@dataclass(frozen=True)
+class OutlineAnnotator:
+    """The outline of each object, in the object's colour."""
+
+    def annotate(self, canvas: Canvas, result: SegmentationResult) -> None:
+        """Draw on `canvas`, in place."""
+        for moving_object in result.objects:
+            contours = [
+                canvas.fixed_point(contour) for contour in outlines(result.labels, moving_object)
+            ]
+            colour = colour_of(moving_object.id)
+            cv2.polylines(canvas.image, contours, True, colour, 1, cv2.LINE_AA, _SHIFT)
+
+
+@dataclass(frozen=True)
+class TrailAnnotator:
+    """The way each object came, in the object's colour."""
+
+    def annotate(self, canvas: Canvas, result: SegmentationResult) -> None:
+        """Draw on `canvas`, in place."""
+        for moving_object in result.objects:
+            if moving_object.trail:
+                trail = canvas.fixed_point((*moving_object.trail, moving_object.centroid))
+                colour = colour_of(moving_object.id)
+                cv2.polylines(canvas.image, [trail], False, colour, 1, cv2.LINE_AA, _SHIFT)
+
+
+@dataclass(frozen=True)
+class IdAnnotator:
+    """Each object's id beside it, in the object's colour."""
+
+    def annotate(self, canvas: Canvas, result: SegmentationResult) -> None:
+        """Draw on `canvas`, in place."""
+        for moving_object in result.objects:
+            x, y, width, _ = moving_object.box
+            corner = (round((x + width) * canvas.scale) + 2, round(y * canvas.scale) - 2)
+            _write(canvas, str(moving_object.id), corner, colour_of(moving_object.id))
+
+
+DEFAULT_ANNOTATORS: tuple[Annotator, ...] = (
+    TrailAnnotator(),
+    OutlineAnnotator(),
+    IdAnnotator(),
+)
+
+
+def draw_overlay(
+    result: SegmentationResult,
+    annotators: Sequence[Annotator] = DEFAULT_ANNOTATORS,
+    width: int | None = None,
+) -> Canvas:
+    """Draw a result on its frame, at the frame's size or resized to `width` pixels."""
+    canvas = Canvas.of(result.frame.image, width)
+    for annotator in annotators:
+        annotator.annotate(canvas, result)
+    return canvas
+
+
+def evenly_spaced(total: int, wanted: int) -> list[int]:
+    """Give at most `wanted` indices from the whole of `range(total)`, both ends among them."""
+    count = min(total, wanted)
+    return [int(index) for index in np.rint(np.linspace(0, total - 1, count))]
+
+
+def overlay_strip(
+    tiles: Sequence[tuple[int, SegmentationResult]],
+    columns: int = 3,
+    tile_width: int = 480,
+    annotators: Sequence[Annotator] = DEFAULT_ANNOTATORS,
+) -> npt.NDArray[np.uint8]:
+    """Draw results, each with its frame number, into one grid, read line by line.
+
+    :returns: uint8 HxWx3 (blue, green, red).
+    :raises ValueError: when there is nothing to draw.
+    """
+    if not tiles:
+        raise ValueError("a strip needs at least one frame")
+    pictures = []
+    for number, result in tiles:
+        canvas = draw_overlay(result, annotators, tile_width)
+        _write(canvas, f"frame {number}", (6, 6 + round(canvas.text_scale * _FONT_HEIGHT)), _WHITE)
+        pictures.append(canvas.image)
+    gap = 4
+    height = max(picture.shape[0] for picture in pictures)
+    columns = min(columns, len(pictures))
+    rows = -(-len(pictures) // columns)
+    strip = np.full(
+        (rows * (height + gap) - gap, columns * (tile_width + gap) - gap, 3), 255, np.uint8
+    )
+    for index, picture in enumerate(pictures):
+        top = index // columns * (height + gap)
+        left = index % columns * (tile_width + gap)
+        strip[top : top + picture.shape[0], left : left + tile_width] = picture
+    return strip
+
+
+def to_bgr8(image: Image) -> npt.NDArray[np.uint8]:
+    """Give a copy of an image for people: uint8 HxWx3, 16-bit and float values stretched."""
+    grey_levels = image if image.dtype == np.uint8 else _stretched(image)
+    if grey_levels.ndim == 2:
+        return np.asarray(cv2.cvtColor(grey_levels, cv2.COLOR_GRAY2BGR))
+    return grey_levels.copy()
+
+
+def _stretched(image: Image) -> npt.NDArray[np.uint8]:
+    # A sixteenth of the pixels is plenty for two percentiles, and much faster.
+    sample = image[::4, ::4]
+    finite = sample[np.isfinite(sample)]
+    if not finite.size:
+        return np.zeros(image.shape, np.uint8)
+    low, high = (float(value) for value in np.percentile(finite, (0.5, 99.5)))
+    span = high - low if high > low else 1.0
+    scaled = (np.nan_to_num(image.astype(np.float32), nan=low) - low) * (255.0 / span)
+    stretched: npt.NDArray[np.uint8] = np.clip(scaled, 0.0, 255.0).astype(np.uint8)
+    return stretched
+
+
+def _write(canvas: Canvas, text: str, corner: tuple[int, int], colour: Colour) -> None:
+    """Write text with its lower left at `corner`, moved inside the canvas where it must be."""
+    scale = canvas.text_scale
+    (width, height), _ = cv2.getTextSize(text, _FONT, scale, 1)
+    canvas_height, canvas_width = canvas.image.shape[:2]
+    x = max(1, min(corner[0], canvas_width - width - 1))
+    y = max(height + 1, min(corner[1], canvas_height - 2))
+    for ink, thickness in ((_SHADOW, 3), (colour, 1)):
+        cv2.putText(canvas.image, text, (x, y), _FONT, scale, ink, thickness, cv2.LINE_AA)
