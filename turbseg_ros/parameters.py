@@ -112,9 +112,48 @@ class FlowParameters:
 
 
 @dataclass(frozen=True)
+class QosParameters:
+    """How the node subscribes to its images."""
+
+    reliability: str = parameter(
+        "auto",
+        "Reliability asked of the image's publishers; auto: reliable when every one offers it.",
+        choices=("auto", "reliable", "best_effort"),
+        read_only=True,
+    )
+
+
+@dataclass(frozen=True)
+class DiagnosticsParameters:
+    """What the node reports about itself."""
+
+    min_rate: float = parameter(
+        0.0,
+        "Input rate below which the node warns; 0 takes any.",
+        unit="Hz",
+        minimum=0.0,
+        maximum=1000.0,
+    )
+
+
+@dataclass(frozen=True)
 class Parameters:
     """All parameters, grouped as the stages of the method are."""
 
+    image_transport: str = parameter(
+        "raw",
+        "Input topic: image_raw, or image_raw/compressed.",
+        choices=("raw", "compressed"),
+        read_only=True,
+    )
+    queue_size: int = parameter(
+        10,
+        "Images that may wait to be segmented; when more do, the oldest are dropped and counted.",
+        unit="frames",
+        minimum=1,
+        maximum=1000,
+        read_only=True,
+    )
     max_objects: int = parameter(
         8,
         "Number of slots, each with a mask topic of its own, and most objects at a time.",
@@ -123,6 +162,8 @@ class Parameters:
         read_only=True,
     )
     flow: FlowParameters = field(default_factory=FlowParameters)
+    qos: QosParameters = field(default_factory=QosParameters)
+    diagnostics: DiagnosticsParameters = field(default_factory=DiagnosticsParameters)
 
     @classmethod
     def from_mapping(cls, values: Mapping[str, object]) -> Parameters:
