@@ -1,0 +1,92 @@
+"""Message types by name: their Python classes and the definitions that a bag carries along."""
+
+from __future__ import annotations
+
+import functools
+import importlib
+import json
+import os
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from turbseg_ros.bag.errors import BagError
+
+# How a definition's dependencies are set apart in the ros2msg schema encoding,
+# https://mcap.dev/spec/registry#ros2msg
+_DEPENDENCY_HEADING = "=" * 80 + "\nMSG: "
+
+
+@dataclass(frozen=True)
+class MessageDefinition:
+    """What makes a recorded message readable without its package.
+
+    `text` is the type's .msg followed by those of all types it is made of (`ros2msg`); `type_hash`
+    is its REP 2016 hash, `RIHS01_...`.
+    """
+
+    text: str
+    type_hash: str
+
+
+@functools.cache
+def message_definition(type_name: str) -> MessageDefinition:
+    """Give the definition of `type_name`, such as `sensor_msgs/msg/Image`.
+
+    :raises BagError: when no installed package has that type.
+    """
+    description = json.loads(_interface_file(type_name, "json"))
+    hashes = {entry["type_name"]: entry["hash_string"] for entry in description["type_hashes"]}
+    dependencies = [
+        entry["type_name"]
+        for entry in description["type_description_msg"]["referenced_type_descriptions"]
+    ]
+    parts = [_interface_file(type_name, "msg")]
+    parts += [
+        f"{_DEPENDENCY_HEADING}{_short_name(dependency)}\n{_interface_file(dependency, 'msg')}"
+        for dependency in dependencies
+    ]
+    return MessageDefinition(text="\n".join(parts), type_hash=hashes[type_name])
+
+
+@functools.cache
+def message_class(type_name: str) -> type[Any]:
+    """Give the Python class of `type_name`, such as `sensor_msgs/msg/Image`.
+
+    :raises BagError: when no installed package has that type.
+    """
+    package, _, name = type_name.partition("/msg/")
+    try:
+        found: type[Any] = getattr(importlib.import_module(f"{package}.msg"), name)
+    except (ImportError, AttributeError, ValueError, TypeError) as error:
+        raise _not_installed(type_name) from error
+    return found
+
+
+def type_name_of(message: object) -> str:
+    """Give the name of a message's type, such as `sensor_msgs/msg/Image`."""
+    kind = type(message)
+    return f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
+
+
+def _interface_file(type_name: str, suffix: str) -> str:
+    for prefix in _prefixes():
+        path = prefix / "share" / f"{type_name}.{suffix}"
+        if path.is_file():
+            return path.read_text(encoding="utf-8")
+    raise _not_installed(type_name)
+
+
+def _prefixes() -> list[Path]:
+    """Give the roots that packages are installed under: of ROS, and of Python for wheels."""
+    sourced = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    return [Path(prefix) for prefix in [*sourced, sys.prefix] if prefix]
+
+
+def _short_name(type_name: str) -> str:
+    return type_name.replace("/msg/", "/")
+
+
+def _not_installed(type_name: str) -> BagError:
+    return BagError(f"message type {type_name} is not installed; install its package")
