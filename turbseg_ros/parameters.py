@@ -29,6 +29,10 @@ class ParameterError(ValueError):
     """A parameter that is unknown, of the wrong type or out of range; the text says which."""
 
 
+class UnknownParameterError(ParameterError):
+    """A parameter that is not declared; the text names the one that may have been meant."""
+
+
 @dataclass(frozen=True)
 class Declaration:
     """What is known of one parameter."""
@@ -182,7 +186,7 @@ class Parameters:
         changed = self
         for name, value in values.items():
             if name not in known:
-                raise ParameterError(f"unknown parameter {name}{_suggestion(name, known)}")
+                raise UnknownParameterError(f"unknown parameter {name}{_suggestion(name, known)}")
             changed = _with_value(changed, name.split("."), known[name].check(value))
         return changed
 
@@ -197,6 +201,11 @@ def declarations() -> tuple[Declaration, ...]:
         Declaration(name=name, default=value, **declared.metadata)
         for name, declared, value in _walk(Parameters())
     )
+
+
+def belongs_to_middleware(name: str) -> bool:
+    """Tell whether `name` is one that every ROS node has, as `use_sim_time`."""
+    return name.split(".")[0] in _MIDDLEWARE_NAMES
 
 
 def load_parameters(path: Path) -> Parameters:
@@ -232,11 +241,7 @@ def _own_values(content: object) -> dict[str, object]:
         if not isinstance(section, dict) or not isinstance(section.get("ros__parameters"), dict):
             raise ParameterError(f"section {name} has no mapping under 'ros__parameters'")
         values.update(_flattened(section["ros__parameters"]))
-    return {
-        name: value
-        for name, value in values.items()
-        if name.split(".")[0] not in _MIDDLEWARE_NAMES
-    }
+    return {name: value for name, value in values.items() if not belongs_to_middleware(name)}
 
 
 def _flattened(tree: Mapping[Any, object], prefix: str = "") -> dict[str, object]:
