@@ -1,0 +1,120 @@
+"""From frames to a bag's scores, from those to table and JSON."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from turbseg_ros.evaluation.scores import (
+    BagScores,
+    Measurements,
+    Scorer,
+    Table,
+    mean_scores,
+    write_json,
+)
+
+KEYS = [
+    "bag",
+    "frames",
+    "scored_frames",
+    "j",
+    "dice",
+    "g",
+    "boundary_f",
+    "false_alarm_frames",
+    "false_alarm_area",
+    "id_switches",
+    "fps",
+    "ms_p50",
+    "ms_p95",
+    "tilt_px",
+]
+
+OBJECT = np.zeros((40, 50), np.uint16)
+OBJECT[10:20, 10:20] = 1
+EMPTY = np.zeros_like(OBJECT)
+
+
+def scored(*pairs: tuple[np.ndarray, np.ndarray], bag: str = "one") -> BagScores:
+    scorer = Scorer()
+    for prediction, truth in pairs:
+        scorer.add(prediction, truth)
+    return scorer.scores(bag, len(pairs), Measurements())
+
+
+def test_overlap_is_averaged_over_frames_with_an_object() -> None:
+    scores = scored((OBJECT, OBJECT), (EMPTY, OBJECT), (EMPTY, EMPTY))
+    assert (scores.frames, scores.scored_frames) == (3, 3)
+    assert scores.j == scores.dice == scores.g == scores.boundary_f == 0.5
+    assert (scores.false_alarm_frames, scores.false_alarm_area) == (0, 0.0)
+
+
+def test_g_is_the_mean_of_j_and_dice() -> None:
+    half = OBJECT.copy()
+    half[10:15] = 0
+    scores = scored((half, OBJECT))
+    assert (scores.j, scores.dice) == pytest.approx((0.5, 2 / 3))
+    assert scores.g == pytest.approx((0.5 + 2 / 3) / 2)
+
+
+def test_alarms_are_counted_in_frames_without_an_object() -> None:
+    scores = scored((OBJECT, EMPTY), (EMPTY, EMPTY), (OBJECT, OBJECT))
+    assert scores.false_alarm_frames == 1
+    assert scores.false_alarm_area == pytest.approx(0.05 / 2)
+    assert scores.j == 1.0
+
+
+def test_what_cannot_be_told_is_none() -> None:
+    scores = scored((EMPTY, EMPTY))
+    assert (scores.j, scores.dice, scores.g, scores.boundary_f) == (None,) * 4
+    assert (scores.fps, scores.ms_p50, scores.ms_p95, scores.tilt_px) == (None,) * 4
+    assert scored((OBJECT, OBJECT)).false_alarm_area is None
+
+
+def test_truth_of_another_size_is_refused() -> None:
+    with pytest.raises(ValueError, match="truth of 50x40 doesn't fit labels of 25x20 pixels"):
+        Scorer().add(OBJECT[::2, ::2], OBJECT)
+
+
+def test_measurements_sum_up_time_and_turbulence() -> None:
+    measured = Measurements([0.01] * 9 + [0.1], flush_seconds=0.01, tilts=[math.nan, 0.2, 0.4])
+    assert measured.fps == pytest.approx(10 / 0.2)
+    assert measured.push_milliseconds(50) == pytest.approx(10.0)
+    assert measured.push_milliseconds(95) == pytest.approx(59.5)
+    assert measured.median_tilt == pytest.approx(0.3)
+
+
+def test_means_pass_over_what_a_bag_does_not_have() -> None:
+    mean = mean_scores([scored((OBJECT, OBJECT)), scored((EMPTY, EMPTY))])
+    assert mean["j"] == 1.0
+    assert mean["false_alarm_area"] == 0.0
+    assert mean["tilt_px"] is None
+
+
+def test_json_has_the_documented_keys(tmp_path: Path) -> None:
+    path = tmp_path / "scores.json"
+    write_json(path, [scored((OBJECT, OBJECT)), scored((EMPTY, EMPTY))], {"flow.interval": 4})
+    content = json.loads(path.read_text())
+    assert list(content) == ["bags", "mean", "parameters"]
+    assert [list(bag) for bag in content["bags"]] == [KEYS, KEYS]
+    assert list(content["mean"]) == KEYS[1:]
+    assert content["parameters"] == {"flow.interval": 4}
+    assert content["bags"][1]["j"] is None
+    assert [entry.name for entry in tmp_path.iterdir()] == ["scores.json"]
+
+
+def test_table_lines_are_aligned() -> None:
+    bags = [scored((OBJECT, OBJECT), bag="a_long_name"), scored((EMPTY, EMPTY), bag="b")]
+    full = dataclasses.replace(bags[0], fps=31.25, ms_p50=9.9, ms_p95=1234.5, tilt_px=0.25)
+    table = Table.of([bag.bag for bag in bags])
+    lines = [table.head, table.row(full), table.row(bags[1]), table.mean([full, bags[1]])]
+    assert len({len(line) for line in lines}) == 1
+    assert lines[1].split()[:4] == ["a_long_name", "1", "1", "1.000"]
+    assert lines[2].split()[3] == "-"
+    assert lines[3].startswith("mean")

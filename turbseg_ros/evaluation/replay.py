@@ -1,0 +1,69 @@
+"""Recorded frames through the method, without middleware: every frame, in order."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Protocol
+
+from turbseg_ros.bag.errors import BagError
+from turbseg_ros.bag.reader import BagReader, Record
+from turbseg_ros.ros.image_conversion import (
+    ImageConversionError,
+    image_from_message,
+    stamp_to_ns,
+)
+from turbseg_ros.segmentation.frame import Frame, SegmentationResult
+
+_LOGGER = logging.getLogger(__name__)
+
+
+class Segmenter(Protocol):
+    """What is driven: MotionSegmenter, or anything else that answers each frame in order."""
+
+    def push(self, frame: Frame) -> Sequence[SegmentationResult]:
+        """Take the next frame; give the results that it completes."""
+
+    def flush(self) -> Sequence[SegmentationResult]:
+        """Give the results of the frames that still wait for later ones."""
+
+
+class BagFrames:
+    """The frames of a bag's image topic, in the order they were recorded.
+
+    An image that can't be read as one is warned about, counted in `skipped` and left out.
+    """
+
+    def __init__(self, reader: BagReader, image_topic: str) -> None:
+        self._reader = reader
+        self._topic = image_topic
+        self.skipped = 0
+
+    def __len__(self) -> int:
+        """Images recorded, those that turn out unreadable included."""
+        return self._reader.topics[self._topic].message_count
+
+    def __iter__(self) -> Iterator[Frame]:
+        self.skipped = 0
+        for number, record in enumerate(self._reader.messages([self._topic])):
+            frame = self._frame(number, record)
+            if frame is not None:
+                yield frame
+
+    def _frame(self, number: int, record: Record) -> Frame | None:
+        try:
+            message = record.message()
+            image = image_from_message(message)
+        except (BagError, ImageConversionError) as error:
+            self.skipped += 1
+            _LOGGER.warning("image %d of %s skipped: %s", number, self._topic, error)
+            return None
+        header = message.header
+        return Frame(stamp=stamp_to_ns(header.stamp), image=image, frame_id=header.frame_id)
+
+
+def segment(frames: Iterable[Frame], segmenter: Segmenter) -> Iterator[SegmentationResult]:
+    """Give one result for every frame, in order."""
+    for frame in frames:
+        yield from segmenter.push(frame)
+    yield from segmenter.flush()

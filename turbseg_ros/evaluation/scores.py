@@ -1,0 +1,227 @@
+"""Scores of a bag: from frames to a bag, from bags to a table and a JSON file."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from turbseg_ros.evaluation.metrics import (
+    IdSwitchCounter,
+    Labels,
+    boundary_f,
+    dice,
+    foreground_fraction,
+    jaccard,
+)
+
+
+@dataclass(frozen=True)
+class BagScores:
+    """What the segmentation of one bag is worth; None where there is nothing to tell it from.
+
+    `j`, `dice`, `g` (the mean of the two) and `boundary_f` are of the union of all objects, means
+    over the frames whose truth has an object. `false_alarm_frames` counts those frames without any
+    in which something was found, `false_alarm_area` is the mean share of the image found in all
+    such frames. `id_switches` is None when the truth doesn't tell objects apart. `fps`, `ms_p50`
+    and `ms_p95` are of the segmentation alone, `tilt_px` is the median of the measured turbulence.
+    """
+
+    bag: str
+    frames: int
+    scored_frames: int
+    j: float | None
+    dice: float | None
+    g: float | None
+    boundary_f: float | None
+    false_alarm_frames: int
+    false_alarm_area: float | None
+    id_switches: int | None
+    fps: float | None
+    ms_p50: float | None
+    ms_p95: float | None
+    tilt_px: float | None
+
+
+@dataclass
+class Measurements:
+    """What a segmenter showed of itself at work: seconds a push and a flush took, tilts in pixels.
+
+    A tilt is NaN where it was unknown. Empty for labels whose making wasn't seen.
+    """
+
+    push_seconds: list[float] = field(default_factory=list)
+    flush_seconds: float = 0.0
+    tilts: list[float] = field(default_factory=list)
+
+    @property
+    def fps(self) -> float | None:
+        """Frames a second of pure segmentation."""
+        seconds = sum(self.push_seconds) + self.flush_seconds
+        return len(self.push_seconds) / seconds if self.push_seconds else None
+
+    @property
+    def median_tilt(self) -> float | None:
+        """Median of the known tilts, in pixels."""
+        known = [tilt for tilt in self.tilts if math.isfinite(tilt)]
+        return float(np.median(known)) if known else None
+
+    def push_milliseconds(self, percentile: float) -> float | None:
+        """Give a percentile of the time that a push took."""
+        if not self.push_seconds:
+            return None
+        return 1e3 * float(np.percentile(self.push_seconds, percentile))
+
+
+class Scorer:
+    """Scores the frames of one sequence, in order."""
+
+    def __init__(self) -> None:
+        self._j: list[float] = []
+        self._dice: list[float] = []
+        self._boundary_f: list[float] = []
+        self._false_alarm_areas: list[float] = []
+        self._id_switches = IdSwitchCounter()
+
+    def add(self, prediction: Labels, truth: Labels) -> None:
+        """Score the next frame.
+
+        :raises ValueError: when prediction and truth differ in size.
+        """
+        if prediction.shape != truth.shape:
+            raise ValueError(
+                f"truth of {_size(truth)} doesn't fit labels of {_size(prediction)} pixels"
+            )
+        self._id_switches.add(prediction, truth)
+        if truth.any():
+            self._j.append(jaccard(prediction, truth))
+            self._dice.append(dice(prediction, truth))
+            self._boundary_f.append(boundary_f(prediction, truth))
+        else:
+            self._false_alarm_areas.append(foreground_fraction(prediction))
+
+    def scores(self, bag: str, frames: int, measurements: Measurements) -> BagScores:
+        """Sum up what was scored of a bag with so many `frames`."""
+        j, dice_ = _mean(self._j), _mean(self._dice)
+        return BagScores(
+            bag=bag,
+            frames=frames,
+            scored_frames=len(self._j) + len(self._false_alarm_areas),
+            j=j,
+            dice=dice_,
+            g=None if j is None or dice_ is None else (j + dice_) / 2,
+            boundary_f=_mean(self._boundary_f),
+            false_alarm_frames=int(np.count_nonzero(self._false_alarm_areas)),
+            false_alarm_area=_mean(self._false_alarm_areas),
+            id_switches=self._id_switches.switches,
+            fps=measurements.fps,
+            ms_p50=measurements.push_milliseconds(50),
+            ms_p95=measurements.push_milliseconds(95),
+            tilt_px=measurements.median_tilt,
+        )
+
+
+def mean_scores(bags: Sequence[BagScores]) -> dict[str, float | None]:
+    """Give each figure's mean over the bags that have it."""
+    names = [figure.name for figure in dataclasses.fields(BagScores) if figure.name != "bag"]
+    return {
+        name: _mean([value for bag in bags if (value := getattr(bag, name)) is not None])
+        for name in names
+    }
+
+
+def write_json(
+    path: Path, bags: Sequence[BagScores], parameters: Mapping[str, bool | int | float | str]
+) -> None:
+    """Write the scores of bags, their means and the parameters they were reached with.
+
+    :raises OSError: when the file can't be written; an older one then stays as it was.
+    """
+    content = {
+        "bags": [dataclasses.asdict(bag) for bag in bags],
+        "mean": mean_scores(bags),
+        "parameters": dict(parameters),
+    }
+    partial = path.with_name(f".{path.name}.partial")
+    partial.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n")
+    partial.replace(path)
+
+
+@dataclass(frozen=True)
+class _Column:
+    title: str
+    name: str
+    format: str
+
+    @property
+    def width(self) -> int:
+        return max(len(self.title), 6)
+
+    def cell(self, figures: Mapping[str, Any]) -> str:
+        value = figures[self.name]
+        return ("-" if value is None else format(value, self.format)).rjust(self.width)
+
+
+_COLUMNS = (
+    _Column("frames", "frames", ".0f"),
+    _Column("scored", "scored_frames", ".0f"),
+    _Column("J", "j", ".3f"),
+    _Column("Dice", "dice", ".3f"),
+    _Column("G", "g", ".3f"),
+    _Column("bound F", "boundary_f", ".3f"),
+    _Column("alarms", "false_alarm_frames", ".4g"),
+    _Column("alarm %", "false_alarm_area", ".3%"),
+    _Column("id sw", "id_switches", ".4g"),
+    _Column("fps", "fps", ".1f"),
+    _Column("ms p50", "ms_p50", ".1f"),
+    _Column("ms p95", "ms_p95", ".1f"),
+    _Column("tilt px", "tilt_px", ".2f"),
+)
+
+
+@dataclass(frozen=True)
+class Table:
+    """A plain-text table of scores that can be printed line by line.
+
+    `bag_width` is the width of its first column.
+    """
+
+    bag_width: int
+
+    @classmethod
+    def of(cls, bags: Sequence[str]) -> Table:
+        """Lay out a table for bags of these names."""
+        return cls(max(map(len, (*bags, "mean"))))
+
+    @property
+    def head(self) -> str:
+        """The line of titles."""
+        return self._line("bag", [column.title.rjust(column.width) for column in _COLUMNS])
+
+    def row(self, scores: BagScores) -> str:
+        """Give the line of one bag."""
+        return self._row(scores.bag, dataclasses.asdict(scores))
+
+    def mean(self, bags: Sequence[BagScores]) -> str:
+        """Give the line of the means."""
+        return self._row("mean", mean_scores(bags))
+
+    def _row(self, name: str, figures: Mapping[str, Any]) -> str:
+        return self._line(name, [column.cell(figures) for column in _COLUMNS])
+
+    def _line(self, name: str, cells: Sequence[str]) -> str:
+        return "  ".join((name.ljust(self.bag_width), *cells))
+
+
+def _mean(values: Sequence[float]) -> float | None:
+    return float(np.mean(values)) if values else None
+
+
+def _size(labels: Labels) -> str:
+    return f"{labels.shape[1]}x{labels.shape[0]}"
