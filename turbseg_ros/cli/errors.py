@@ -1,0 +1,89 @@
+"""How the executables end: what their user did wrong is one line, never a traceback.
+
+This module imports nothing slow, so that an executable answers signals from its first moment.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import os
+import signal
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from types import FrameType
+from typing import NoReturn
+
+from turbseg_ros.bag.errors import BagError
+from turbseg_ros.parameters import ParameterError
+
+Main = Callable[[Sequence[str] | None], int]
+
+_REFUSED = 2  # as argparse ends
+_STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+class UsageError(Exception):
+    """Something asked for that can't be done; the text is one line: what, and how to mend it."""
+
+
+class Interrupted(SystemExit):
+    """SIGINT or SIGTERM arrived; unless caught, the exit status says which, as a shell's does."""
+
+
+def executable(name: str) -> Callable[[Main], Main]:
+    """Decorate `main(arguments) -> exit status` of the executable `name`.
+
+    A user's mistake becomes one line on standard error and exit status 2; SIGINT and SIGTERM
+    unwind the program once, so that `with` and `finally` clean up undisturbed.
+    """
+
+    def decorate(main: Main) -> Main:
+        @functools.wraps(main)
+        def run(arguments: Sequence[str] | None = None) -> int:
+            with _unwinding_on_signals():
+                try:
+                    status = main(arguments)
+                    sys.stdout.flush()
+                except BrokenPipeError:
+                    return _leave_closed_pipe()
+                except (BagError, ParameterError, UsageError) as error:
+                    return _refuse(name, str(error))
+                except OSError as error:
+                    if error.filename is None:
+                        raise
+                    return _refuse(name, f"{error.filename}: {error.strerror}")
+                return status
+
+        return run
+
+    return decorate
+
+
+def _refuse(name: str, reason: str) -> int:
+    print(f"{name}: {' '.join(reason.split())}", file=sys.stderr)
+    return _REFUSED
+
+
+def _leave_closed_pipe() -> int:
+    """Give up output whose reader has gone, such as `head`, without complaint at exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return 128 + signal.SIGPIPE
+
+
+@contextlib.contextmanager
+def _unwinding_on_signals() -> Iterator[None]:
+    before = {number: signal.signal(number, _interrupt) for number in _STOP_SIGNALS}
+    try:
+        yield
+    finally:
+        # Once interrupted, signals stay ignored until the process has ended.
+        if signal.getsignal(signal.SIGINT) is _interrupt:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+
+def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
+    for stop in _STOP_SIGNALS:
+        signal.signal(stop, signal.SIG_IGN)  # a second one must not disturb the cleaning up
+    raise Interrupted(128 + number)
