@@ -102,6 +102,40 @@ def parameter(
 
 
 @dataclass(frozen=True)
+class ResolutionParameters:
+    """Sizes that a frame is worked on at, given for a 16:9 picture; others get as many pixels."""
+
+    processing: int = parameter(
+        432,
+        "Width at which flow and motion are computed.",
+        unit="px",
+        minimum=64,
+        maximum=3840,
+        read_only=True,
+    )
+    detail: int = parameter(
+        864,
+        "Width at which outlines are drawn, when the input is as wide.",
+        unit="px",
+        minimum=64,
+        maximum=3840,
+        read_only=True,
+    )
+
+
+@dataclass(frozen=True)
+class LatencyParameters:
+    """How long a frame waits for its successors."""
+
+    mode: str = parameter(
+        "centred",
+        "centred: compare with frames before and after; causal: with earlier ones only.",
+        choices=("centred", "causal"),
+        read_only=True,
+    )
+
+
+@dataclass(frozen=True)
 class FlowParameters:
     """Optical flow between a frame and its neighbours."""
 
@@ -112,6 +146,138 @@ class FlowParameters:
         minimum=1,
         maximum=16,
         read_only=True,
+    )
+    average: str = parameter(
+        "slope",
+        "slope: fit the velocity to the flows at ±B/2 and ±B; mean: the paper's eq. 1, ±1 to ±B.",
+        choices=("slope", "mean"),
+        read_only=True,
+    )
+    variational_iterations: int = parameter(
+        1,
+        "Steps of DIS flow's variational refinement at each scale.",
+        minimum=0,
+        maximum=10,
+    )
+
+
+@dataclass(frozen=True)
+class MotionParameters:
+    """What counts as breaking the camera's own motion."""
+
+    measure: str = parameter(
+        "affine",
+        "affine: distance from an affine ego-motion; sampson: Sampson distance under a "
+        "fundamental matrix, the paper's eq. 2.",
+        choices=("affine", "sampson"),
+        read_only=True,
+    )
+
+
+@dataclass(frozen=True)
+class SeedParameters:
+    """Which windows of the motion map are surely moving."""
+
+    size: int = parameter(
+        9, "Side D of the window, at processing resolution.", unit="px", minimum=1, maximum=99
+    )
+    delta1: float = parameter(
+        5.0,
+        "Least mean of the motion map over the window, in units of its noise where nothing moves.",
+        minimum=0.0,
+        maximum=1000.0,
+    )
+    delta2: float = parameter(
+        0.5,
+        "Largest standard deviation over the window, as a fraction of its mean.",
+        minimum=0.0,
+        maximum=10.0,
+    )
+
+
+@dataclass(frozen=True)
+class GrowingParameters:
+    """How far a region grows from its seed."""
+
+    similarity: str = parameter(
+        "velocity",
+        "velocity: pixels that share the seed's velocity; magnitude: its speed, as in eq. 3.",
+        choices=("velocity", "magnitude"),
+        read_only=True,
+    )
+    delta: float = parameter(
+        0.6,
+        "Difference from the seed that still belongs to it, as a fraction of the seed's speed.",
+        minimum=0.01,
+        maximum=1.0,
+    )
+
+
+@dataclass(frozen=True)
+class OutlineParameters:
+    """How a moving region is cut out of the picture."""
+
+    method: str = parameter(
+        "background",
+        "background: what stands out from the median of other frames; none: the grown region.",
+        choices=("background", "none"),
+        read_only=True,
+    )
+    threshold: float = parameter(
+        2.5,
+        "Standard deviations from the background that make a pixel part of an object.",
+        minimum=0.5,
+        maximum=20.0,
+    )
+    memory: int = parameter(
+        48,
+        "Age up to which frames show the background.",
+        unit="frames",
+        minimum=8,
+        maximum=1000,
+        read_only=True,
+    )
+    key_step: int = parameter(
+        3,
+        "Every how many frames one is remembered.",
+        unit="frames",
+        minimum=1,
+        maximum=100,
+        read_only=True,
+    )
+
+
+@dataclass(frozen=True)
+class TrackingParameters:
+    """How objects keep their ids."""
+
+    mode: str = parameter(
+        "kalman",
+        "kalman: live; kmeans: the paper's, which needs the whole clip (turbseg_replay only).",
+        choices=("kalman", "kmeans"),
+        read_only=True,
+    )
+    confirmation: int = parameter(
+        3,
+        "Frames in which something must be seen moving to become an object.",
+        unit="frames",
+        minimum=1,
+        maximum=100,
+    )
+    travel: float = parameter(
+        2.0,
+        "Way that something must come to become an object, at outline resolution, plus twice the "
+        "tilt.",
+        unit="px",
+        minimum=0.0,
+        maximum=1000.0,
+    )
+    patience: int = parameter(
+        30,
+        "Frames for which an object may be lost, or stand still, before it ends.",
+        unit="frames",
+        minimum=0,
+        maximum=100000,
     )
 
 
@@ -165,7 +331,14 @@ class Parameters:
         maximum=64,
         read_only=True,
     )
+    resolution: ResolutionParameters = field(default_factory=ResolutionParameters)
+    latency: LatencyParameters = field(default_factory=LatencyParameters)
     flow: FlowParameters = field(default_factory=FlowParameters)
+    motion: MotionParameters = field(default_factory=MotionParameters)
+    seed: SeedParameters = field(default_factory=SeedParameters)
+    growing: GrowingParameters = field(default_factory=GrowingParameters)
+    outline: OutlineParameters = field(default_factory=OutlineParameters)
+    tracking: TrackingParameters = field(default_factory=TrackingParameters)
     qos: QosParameters = field(default_factory=QosParameters)
     diagnostics: DiagnosticsParameters = field(default_factory=DiagnosticsParameters)
 

@@ -1,0 +1,106 @@
+"""What a camera over a still scene would show, and by how much each pixel breaks it.
+
+Models map pixels of one frame to the next; residuals are in pixels.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+Flow = npt.NDArray[np.float32]
+Map = npt.NDArray[np.float32]
+Matrix = npt.NDArray[np.float64]
+
+_GRID = 8
+_SAMPLES = 2000
+_REWEIGHTINGS = 6
+# Tukey's biweight reaches 95 % efficiency at this many standard deviations.
+_TUKEY = 4.685
+_MAD_TO_SIGMA = 1.4826
+
+
+def pixel_grid(shape: tuple[int, int], step: int = 1) -> npt.NDArray[np.float32]:
+    """Give the coordinates (x, y) of every `step`-th pixel, hxwx2."""
+    start = step // 2
+    y, x = np.mgrid[start : shape[0] : step, start : shape[1] : step]
+    return np.stack([x, y], axis=-1).astype(np.float32)
+
+
+def fit_affine_flow(flow: Flow, weights: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:
+    """Fit (u, v) = (a + bx + cy, d + ex + fy) to a flow, robustly: Tukey's biweight on a grid.
+
+    It starts from the median flow, so that objects that cover less than half of what is seen
+    leave the fit.
+
+    :param weights: HxW, 0 for pixels without a valid flow.
+    :return: 3x2 coefficients of (1, x, y), x and y in pixels.
+    """
+    step = _GRID if min(flow.shape[:2]) >= 8 * _GRID else 1
+    start = step // 2
+    samples = flow[start::step, start::step].reshape(-1, 2).astype(np.float64)
+    usable = weights[start::step, start::step].ravel() > 0
+    if np.count_nonzero(usable) < 12:
+        return np.zeros((3, 2))
+    samples = samples[usable]
+    points = pixel_grid((flow.shape[0], flow.shape[1]), step).reshape(-1, 2)[usable]
+    basis = np.column_stack([np.ones(len(points)), points.astype(np.float64)])
+    coefficients = np.zeros((3, 2))
+    coefficients[0] = np.median(samples, axis=0)
+    for _ in range(_REWEIGHTINGS):
+        residual = np.linalg.norm(samples - basis @ coefficients, axis=1)
+        # For two independent normal axes the median distance is 1.177 standard deviations.
+        sigma = max(float(np.median(residual)) / 1.177, 1e-3)
+        trust = np.clip(1.0 - (residual / (_TUKEY * sigma)) ** 2, 0.0, None) ** 2
+        weighted = basis * trust[:, None]
+        coefficients = np.linalg.lstsq(weighted.T @ basis, weighted.T @ samples, rcond=None)[0]
+    return coefficients
+
+
+def affine_flow(coefficients: npt.NDArray[np.float64], shape: tuple[int, int]) -> Flow:
+    """Give the flow, HxWx2, that `coefficients` of :func:`fit_affine_flow` describe."""
+    height, width = shape
+    x = np.arange(width, dtype=np.float32)[None, :, None]
+    y = np.arange(height, dtype=np.float32)[:, None, None]
+    offset, by_x, by_y = coefficients.astype(np.float32)
+    flow: Flow = offset + x * by_x + y * by_y
+    return flow
+
+
+def fit_fundamental_matrix(flow: Flow, weights: npt.NDArray[np.float32]) -> Matrix | None:
+    """Estimate the fundamental matrix of a flow by least median of squares, as the paper does.
+
+    It is fitted to a regular sample of the flow. None when the sample determines none.
+    """
+    height, width = flow.shape[:2]
+    step = max(1, int(np.sqrt(height * width / _SAMPLES)))
+    start = step // 2
+    usable = weights[start::step, start::step].ravel() > 0
+    source = pixel_grid((height, width), step).reshape(-1, 2)[usable]
+    target = source + flow[start::step, start::step].reshape(-1, 2)[usable]
+    if len(source) < 16:
+        return None
+    matrix, _ = cv2.findFundamentalMat(source, target, cv2.FM_LMEDS)
+    if matrix is None or matrix.shape != (3, 3) or not np.isfinite(matrix).all():
+        return None
+    return np.asarray(matrix, dtype=np.float64)
+
+
+def sampson_distance(flow: Flow, fundamental_matrix: Matrix) -> Map:
+    """Give every pixel's squared Sampson distance in pixels²: the paper's eq. 2.
+
+    The correspondence is p2 = p1 + flow(p1) (Hartley and Zisserman 2004, eq. 11.9).
+    """
+    height, width = flow.shape[:2]
+    x1 = np.arange(width, dtype=np.float64)[None, :]
+    y1 = np.arange(height, dtype=np.float64)[:, None]
+    x2 = x1 + flow[..., 0]
+    y2 = y1 + flow[..., 1]
+    F = fundamental_matrix
+    line2 = [F[row, 0] * x1 + F[row, 1] * y1 + F[row, 2] for row in range(3)]
+    line1 = [F[0, column] * x2 + F[1, column] * y2 + F[2, column] for column in range(2)]
+    error = x2 * line2[0] + y2 * line2[1] + line2[2]
+    scale = line2[0] ** 2 + line2[1] ** 2 + line1[0] ** 2 + line1[1] ** 2
+    distance: Map = (error**2 / np.maximum(scale, 1e-12)).astype(np.float32)
+    return distance

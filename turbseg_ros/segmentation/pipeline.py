@@ -1,0 +1,382 @@
+"""The whole method: frames in, one result for each out, in order."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from turbseg_ros.parameters import Parameters
+from turbseg_ros.segmentation import region_growing
+from turbseg_ros.segmentation.background import (
+    Box,
+    View,
+    background_in,
+    silhouette,
+)
+from turbseg_ros.segmentation.flow import flows_to
+from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResult
+from turbseg_ros.segmentation.motion import MotionEstimate, affine_motion, sampson_motion
+from turbseg_ros.segmentation.stabilization import align, visible
+from turbseg_ros.segmentation.tone import ToneMap
+from turbseg_ros.segmentation.tracking import (
+    Candidate,
+    IdentityKeeper,
+    KMeansUnifier,
+    ObjectTracker,
+    Observation,
+)
+from turbseg_ros.segmentation.window import FrameWindow, PreparedFrame, Resolution, prepare
+
+Mask = npt.NDArray[np.bool_]
+Matrix = npt.NDArray[np.float64]
+
+_FLOW_THREADS = 2
+# Flow within this many pixels of another frame's border follows the border, not the scene.
+_BORDER = 4.0
+# Smallest region, in pixels at processing resolution, and smallest outline, in detail pixels.
+_SMALLEST_REGION = 12
+_SMALLEST_OUTLINE = 12
+# Pixels around a moving region that are looked at, and by which objects are widened before what
+# is left counts as background.
+_MARGIN = 8
+_GUARD = 2
+
+
+@dataclass(frozen=True)
+class _Pending:
+    """A segmented frame that waits until it is known which of its tracks are objects."""
+
+    frame: Frame
+    resolution: Resolution
+    motion: MotionEstimate | None
+    observations: Sequence[Observation]
+
+
+class MotionSegmenter:
+    """Segments what really moves, frame by frame.
+
+    `push` takes frames in the order of time and gives the results that are ready; `flush` gives
+    those of all frames that are left. Every frame gets exactly one result, in order. A frame of
+    another size or kind than the one before starts a new window; ids go on.
+    """
+
+    def __init__(self, parameters: Parameters) -> None:
+        """Set up without frames; see `turbseg_ros.parameters` for what can be chosen."""
+        self._executor = ThreadPoolExecutor(_FLOW_THREADS, thread_name_prefix="flow")
+        self._tone = ToneMap()
+        self.reconfigure(parameters)
+
+    def reconfigure(self, parameters: Parameters) -> None:
+        """Go on with other parameters and a new window; frames not yet answered are forgotten."""
+        identities = getattr(self, "_identities", None)
+        self._parameters = parameters
+        self._identities = _identity_keeper(parameters)
+        if identities is not None:
+            self._identities.continue_ids(identities)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all frames and end all objects; ids go on."""
+        p = self._parameters
+        self._window = FrameWindow(
+            interval=p.flow.interval,
+            look_ahead=0 if p.latency.mode == "causal" else p.flow.interval,
+            memory=p.outline.memory,
+            key_step=p.outline.key_step,
+        )
+        self._tone.reset()
+        self._identities.reset()
+        self._resolution: Resolution | None = None
+        self._kind: tuple[object, ...] = ()
+        self._frames: dict[int, Frame] = {}
+        self._pending: deque[_Pending] = deque()
+
+    @property
+    def look_ahead(self) -> int:
+        """Frames that must follow a frame before its result is given."""
+        p = self._parameters
+        if p.latency.mode == "causal":
+            return 0
+        return p.flow.interval + self._identities.delay
+
+    def push(self, frame: Frame) -> list[SegmentationResult]:
+        """Take the next frame; give the results that are ready, of earlier frames mostly."""
+        results = []
+        kind = (frame.image.shape, frame.image.dtype)
+        if self._kind and kind != self._kind:
+            results = self.flush()
+            self.reset()
+        self._kind = kind
+        if self._resolution is None:
+            sizes = self._parameters.resolution
+            self._resolution = Resolution.of(frame.image.shape, sizes.processing, sizes.detail)
+        index = self._window.count
+        picture = self._tone(frame.image)
+        self._window.append(
+            prepare(picture, self._resolution, index, previous=self._window.newest)
+        )
+        self._frames[index] = frame
+        return results + self._advance(ended=False)
+
+    def flush(self) -> list[SegmentationResult]:
+        """Give the results of all frames that have none yet."""
+        return self._advance(ended=True)
+
+    def _advance(self, ended: bool) -> list[SegmentationResult]:
+        for centre in self._window.ready(ended):
+            self._pending.append(self._segment(centre))
+        if ended:
+            self._identities.settle()
+        causal = self._parameters.latency.mode == "causal"
+        delay = 0 if ended or causal else self._identities.delay
+        results = []
+        while len(self._pending) > delay:
+            results.append(_result(self._pending.popleft()))
+        return results
+
+    def _segment(self, centre: int) -> _Pending:
+        assert self._resolution is not None
+        frame = self._frames.pop(centre)
+        ego_motion = self._ego_motion(centre)
+        motion = self._motion(centre)
+        if motion is None:
+            self._identities.update([], ego_motion, 0.0)
+            return _Pending(frame, self._resolution, None, [])
+        regions = self._regions(motion)
+        candidates = self._outlines(centre, motion, regions, ego_motion)
+        scale = self._resolution.detail_from_processing[0]
+        tilt = 0.0 if np.isnan(motion.tilt) else motion.tilt * scale
+        observations = self._identities.update(candidates, ego_motion, tilt)
+        self._window.mark_objects(centre, _widened(candidates, self._detail_shape, _GUARD))
+        return _Pending(frame, self._resolution, motion, observations)
+
+    @property
+    def _detail_shape(self) -> tuple[int, int]:
+        assert self._resolution is not None
+        return self._resolution.detail[1], self._resolution.detail[0]
+
+    def _ego_motion(self, centre: int) -> Matrix:
+        """Give the transform of detail pixels from the frame before to this one."""
+        assert self._resolution is not None
+        if centre == 0:
+            return np.eye(3)
+        return self._resolution.to_detail(self._window.transform(centre - 1, centre))
+
+    def _intervals(self) -> list[int]:
+        p = self._parameters
+        widest = p.flow.interval
+        if p.flow.average == "mean" or p.motion.measure == "sampson":
+            reach = list(range(1, widest + 1))
+        else:
+            reach = sorted({max(round(widest / 2), 1), widest})
+        if p.latency.mode == "causal":
+            return [-k for k in reach] + [-k - widest for k in reach]
+        return [-k for k in reach] + reach
+
+    def _motion(self, centre: int) -> MotionEstimate | None:
+        """Measure the motion in a frame; None while there is nothing to compare it with."""
+        intervals = self._window.neighbours(centre, self._intervals())
+        if len(intervals) < 2:
+            return None
+        grey = self._window[centre].grey
+        shape = (grey.shape[0], grey.shape[1])
+        transforms = {k: self._window.transform(centre, centre + k) for k in intervals}
+        aligned = {
+            k: align(self._window[centre + k].grey, transform)
+            for k, transform in transforms.items()
+        }
+        weights = {
+            k: visible(shape, transform, _BORDER).astype(np.float32)
+            for k, transform in transforms.items()
+        }
+        p = self._parameters
+        flows = flows_to(grey, aligned, p.flow.variational_iterations, self._executor)
+        if p.motion.measure == "sampson":
+            return sampson_motion(flows, weights, _interval_sets(p.flow.interval))
+        return affine_motion(flows, weights)
+
+    def _regions(self, motion: MotionEstimate) -> list[region_growing.Region]:
+        seed, growing = self._parameters.seed, self._parameters.growing
+        strength = region_growing.seed_strength(motion, seed.size, seed.delta1, seed.delta2)
+        similarity = {
+            "velocity": region_growing.similar_velocity,
+            "magnitude": region_growing.similar_magnitude,
+        }[growing.similarity]
+        return region_growing.grow_regions(
+            motion, strength, seed.size, growing.delta, similarity, _SMALLEST_REGION
+        )
+
+    def _outlines(
+        self,
+        centre: int,
+        motion: MotionEstimate,
+        regions: Sequence[region_growing.Region],
+        ego_motion: Matrix,
+    ) -> list[Candidate]:
+        """Turn moving regions into outlines at detail resolution."""
+        assert self._resolution is not None
+        enlarged = [_enlarged(region.mask, self._detail_shape) for region in regions]
+        if self._parameters.outline.method == "none":
+            masks = enlarged
+            moving = _union(enlarged, self._detail_shape)
+        else:
+            moving = _union(enlarged, self._detail_shape)
+            expected = self._identities.expected_masks(ego_motion, self._detail_shape)
+            near = _union(
+                [moving, *(_dilated(mask, _GUARD + 1) for mask in expected)], self._detail_shape
+            )
+            masks = self._silhouettes(centre, near)
+        velocity = motion.velocity * np.float32(self._resolution.detail_from_processing[0])
+        return [
+            _candidate(mask, moving, velocity)
+            for mask in masks
+            if np.count_nonzero(mask) >= _SMALLEST_OUTLINE
+        ]
+
+    def _silhouettes(self, centre: int, near: Mask) -> list[Mask]:
+        """Cut out, piece by piece, what stands out from the background within `near`."""
+        found = np.zeros(self._detail_shape, np.uint8)
+        count, pieces = cv2.connectedComponents(near.astype(np.uint8))
+        image = self._window[centre].detail
+        for piece in range(1, count):
+            box = Box.around(pieces == piece).grown(_MARGIN, self._detail_shape)
+            background = background_in(box, self._views(centre))
+            found[box.slices] |= silhouette(
+                background,
+                image[box.slices],
+                (pieces == piece)[box.slices],
+                noise=4.0,
+                threshold=self._parameters.outline.threshold,
+            )
+        count, pieces = cv2.connectedComponents(found)
+        return [pieces == piece for piece in range(1, count)]
+
+    def _views(self, centre: int) -> list[View]:
+        assert self._resolution is not None
+        views = []
+        for index in self._window.key_frames(centre):
+            key: PreparedFrame = self._window[index]
+            to_image = self._resolution.to_detail(self._window.transform(centre, index))
+            views.append(View(key.detail, key.objects, to_image))
+        return views
+
+
+def _identity_keeper(parameters: Parameters) -> IdentityKeeper:
+    tracking = parameters.tracking
+    if tracking.mode == "kmeans":
+        return KMeansUnifier()
+    return ObjectTracker(
+        confirmation=tracking.confirmation,
+        travel=tracking.travel,
+        patience=tracking.patience,
+        slots=parameters.max_objects,
+    )
+
+
+def _interval_sets(widest: int) -> list[tuple[int, ...]]:
+    """Give the symmetric sets K of eq. 1 that the authors' code uses, up to the widest interval.
+
+    They are ±2, ±3, ±4, ±1 with ±2, and ±2 with ±3; for B = 1 only ±1 is left.
+    """
+    single: list[tuple[int, ...]] = [(k, -k) for k in range(2, widest + 1)]
+    double: list[tuple[int, ...]] = [(k, -k, k + 1, -k - 1) for k in (1, 2) if k < widest]
+    return (single + double) or [(1, -1)]
+
+
+def _union(masks: Sequence[Mask], shape: tuple[int, int]) -> Mask:
+    return np.logical_or.reduce([np.zeros(shape, bool), *masks])
+
+
+def _dilated(mask: Mask, radius: int) -> Mask:
+    size = 2 * radius + 1
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+    dilated: Mask = cv2.dilate(mask.astype(np.uint8), kernel) > 0
+    return dilated
+
+
+def _enlarged(mask: Mask, shape: tuple[int, int]) -> Mask:
+    size = (shape[1], shape[0])
+    soft = cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_LINEAR)
+    enlarged: Mask = soft > 0.5
+    return enlarged
+
+
+def _widened(candidates: Sequence[Candidate], shape: tuple[int, int], radius: int) -> Mask:
+    objects = np.zeros(shape, bool)
+    for candidate in candidates:
+        objects[candidate.box.slices] |= candidate.mask
+    return _dilated(objects, radius)
+
+
+def _candidate(mask: Mask, moving: Mask, velocity: npt.NDArray[np.float32]) -> Candidate:
+    """Describe an outline, HxW; `velocity` lies at processing resolution, in detail pixels."""
+    box = Box.around(mask)
+    size = (velocity.shape[1], velocity.shape[0])
+    share = cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    inside = share >= min(0.5, float(share.max()))
+    vx, vy = np.median(velocity[inside], axis=0)
+    return Candidate(
+        box=box,
+        mask=mask[box.slices],
+        velocity=(float(vx), float(vy)),
+        moving=bool((mask & moving)[box.slices].any()),
+    )
+
+
+def _result(pending: _Pending) -> SegmentationResult:
+    width, height = pending.resolution.input
+    scale = width / pending.resolution.detail[0]
+    labels = np.zeros((height, width), np.uint16)
+    objects = []
+    for observation in pending.observations:
+        if not observation.track.confirmed:
+            continue
+        mask = _at_input_resolution(observation.candidate, pending.resolution)
+        mask &= labels == 0
+        if mask.any():
+            labels[mask] = observation.track.id
+            objects.append(_moving_object(observation, mask, scale))
+    processing_scale = width / pending.resolution.processing[0]
+    motion = pending.motion
+    return SegmentationResult(
+        frame=pending.frame,
+        labels=labels,
+        objects=tuple(sorted(objects, key=lambda found: found.id)),
+        motion_map=(
+            np.zeros(pending.resolution.processing[::-1], np.float32)
+            if motion is None
+            else motion.motion_map * np.float32(processing_scale)
+        ),
+        tilt=float("nan") if motion is None else motion.tilt * processing_scale,
+        ego_motion_model="none" if motion is None else motion.ego_motion_model,
+    )
+
+
+def _at_input_resolution(candidate: Candidate, resolution: Resolution) -> Mask:
+    mask = np.zeros(resolution.detail[::-1], np.float32)
+    mask[candidate.box.slices] = candidate.mask
+    if resolution.detail == resolution.input:
+        return mask > 0.5
+    enlarged: Mask = cv2.resize(mask, resolution.input, interpolation=cv2.INTER_LINEAR) > 0.5
+    return enlarged
+
+
+def _moving_object(observation: Observation, mask: Mask, scale: float) -> MovingObject:
+    box = Box.around(mask)
+    y, x = np.nonzero(mask[box.slices])
+    vx, vy = observation.velocity
+    return MovingObject(
+        id=observation.track.id,
+        slot=observation.track.slot,
+        centroid=(float(x.mean()) + box.x0, float(y.mean()) + box.y0),
+        velocity=(vx * scale, vy * scale),
+        area=len(x),
+        box=(box.x0, box.y0, box.x1 - box.x0, box.y1 - box.y0),
+        trail=tuple((px * scale, py * scale) for px, py in observation.trail),
+    )

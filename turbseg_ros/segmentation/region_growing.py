@@ -1,0 +1,126 @@
+"""Seeds on the motion map, and the regions that grow from them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from turbseg_ros.segmentation.motion import MotionEstimate
+
+Map = npt.NDArray[np.float32]
+Mask = npt.NDArray[np.bool_]
+
+_FREE, _TAKEN = 0, 1
+
+
+@dataclass(frozen=True)
+class Seed:
+    """A place that surely moves: pixel (x, y), velocity in pixels a frame, strength M/noise."""
+
+    x: int
+    y: int
+    velocity: tuple[float, float]
+    strength: float
+
+
+@dataclass(frozen=True)
+class Region:
+    """Pixels grown from one seed: HxW mask at processing resolution."""
+
+    seed: Seed
+    mask: Mask
+
+
+# Given the motion, a seed and the pixels still free, tells which pixels may join the seed.
+Similarity = Callable[[MotionEstimate, Seed, float], Mask]
+
+
+def seed_strength(motion: MotionEstimate, size: int, delta1: float, delta2: float) -> Map:
+    """Score every window of size x size as a seed, 0 where it is none.
+
+    A window is one when its mean of M exceeds δ1 times the noise and its variance stays below
+    (δ2 · mean)²: the paper's two criteria, in units that the turbulence sets.
+
+    :param size: D, in pixels.
+    """
+    mean = cv2.blur(motion.motion_map, (size, size))
+    variance = cv2.blur(motion.motion_map**2, (size, size)) - mean**2
+    strength = mean / cv2.blur(motion.noise, (size, size))
+    accepted = (strength > delta1) & (variance < (delta2 * mean) ** 2) & motion.visible
+    scored: Map = np.where(accepted, strength, 0.0).astype(np.float32)
+    return scored
+
+
+def similar_magnitude(motion: MotionEstimate, seed: Seed, delta: float) -> Mask:
+    """Accept pixels with |M(p) - M(seed)| < δ M(seed): the paper's eq. 3."""
+    at_seed = motion.motion_map[seed.y, seed.x]
+    accepted: Mask = np.abs(motion.motion_map - at_seed) < delta * at_seed
+    return accepted
+
+
+def similar_velocity(motion: MotionEstimate, seed: Seed, delta: float) -> Mask:
+    """Accept pixels whose velocity keeps at least 1-δ of the seed's, and has little across it.
+
+    It tells apart what eq. 3 would join: neighbours of one speed and different directions.
+    """
+    vx, vy = seed.velocity
+    squared = max(vx * vx + vy * vy, 1e-12)
+    u, v = motion.velocity[..., 0], motion.velocity[..., 1]
+    along = (u * vx + v * vy) / squared
+    across = np.abs(u * vy - v * vx) / squared
+    accepted: Mask = (along > 1.0 - delta) & (along < 1.0 + 2.0 * delta) & (across < delta)
+    return accepted
+
+
+def grow_regions(
+    motion: MotionEstimate,
+    strength: Map,
+    size: int,
+    delta: float,
+    similarity: Similarity,
+    smallest: int,
+) -> list[Region]:
+    """Grow a region from each seed, strongest first; regions don't overlap.
+
+    :param strength: HxW from :func:`seed_strength`.
+    :param size: D, the window's size in pixels.
+    :param delta: δ of eq. 3.
+    :param smallest: regions below this area in pixels are dropped.
+    """
+    occupancy = np.full(strength.shape, _FREE, np.uint8)
+    regions = []
+    for seed in _seeds(motion, strength, occupancy, size):
+        candidates = similarity(motion, seed, delta) & (occupancy == _FREE) & motion.visible
+        mask = _connected_to(seed, candidates)
+        occupancy[mask] = _TAKEN
+        if np.count_nonzero(mask) >= smallest:
+            regions.append(Region(seed, mask))
+    return regions
+
+
+def _seeds(
+    motion: MotionEstimate, strength: Map, occupancy: npt.NDArray[np.uint8], size: int
+) -> Iterator[Seed]:
+    """Give the strongest window that no region has reached yet, until none is left."""
+    remaining = strength.copy()
+    velocity = cv2.blur(motion.velocity, (size, size))
+    reach = np.ones((size, size), np.uint8)
+    while True:
+        remaining[cv2.dilate(occupancy, reach) == _TAKEN] = 0.0
+        _, peak, _, (x, y) = cv2.minMaxLoc(remaining)
+        if peak <= 0.0:
+            return
+        remaining[y, x] = 0.0
+        vx, vy = (float(value) for value in velocity[y, x])
+        yield Seed(x, y, (vx, vy), peak)
+
+
+def _connected_to(seed: Seed, candidates: Mask) -> Mask:
+    candidates[seed.y, seed.x] = True
+    _, components = cv2.connectedComponents(candidates.astype(np.uint8), connectivity=4)
+    connected: Mask = components == components[seed.y, seed.x]
+    return connected

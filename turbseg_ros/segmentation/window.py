@@ -1,0 +1,222 @@
+"""The sliding window: frames made ready, how they lie to one another, and what to compare."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from turbseg_ros.segmentation.stabilization import register_affine
+
+Mask = npt.NDArray[np.bool_]
+Matrix = npt.NDArray[np.float64]
+ByteImage = npt.NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class Resolution:
+    """The sizes (width, height) a frame is worked on: as it came, for flow, for outlines."""
+
+    input: tuple[int, int]
+    processing: tuple[int, int]
+    detail: tuple[int, int]
+
+    @classmethod
+    def of(cls, shape: tuple[int, ...], processing_width: int, detail_width: int) -> Resolution:
+        """Choose the sizes for an image of `shape`.
+
+        Both widths are those of a 16:9 picture; others get the same number of pixels. Flow is
+        always computed at that size, a small image is enlarged for it; outlines are drawn at the
+        detail size or, when that is smaller, at the input's.
+        """
+        height, width = shape[:2]
+
+        def scaled(scale: float) -> tuple[int, int]:
+            return max(round(width * scale), 16), max(round(height * scale), 16)
+
+        def scale_to(wanted: int) -> float:
+            return float(np.sqrt(wanted * wanted * 9 / 16 / (width * height)))
+
+        return cls(
+            input=(width, height),
+            processing=scaled(scale_to(processing_width)),
+            detail=scaled(min(scale_to(detail_width), 1.0)),
+        )
+
+    @property
+    def detail_from_processing(self) -> tuple[float, float]:
+        """Factors in x and y from processing to detail pixels."""
+        return (
+            self.detail[0] / self.processing[0],
+            self.detail[1] / self.processing[1],
+        )
+
+    def to_detail(self, transform: Matrix) -> Matrix:
+        """Give a transform between processing images as one between detail images."""
+        x, y = self.detail_from_processing
+        # Pixel centres lie at whole numbers, so the scaled grid is shifted by half a pixel.
+        scale = np.array([[x, 0, (x - 1) / 2], [0, y, (y - 1) / 2], [0, 0, 1]])
+        result: Matrix = scale @ transform @ np.linalg.inv(scale)
+        return result
+
+
+@dataclass(frozen=True)
+class PreparedFrame:
+    """A frame as the stages need it.
+
+    `grey` is at processing resolution, `detail` HxWxC at detail resolution, both uint8;
+    `from_previous` takes the pixels (of `grey`) of the frame before in the window to this one's;
+    `objects` tells, at detail resolution and once known, which pixels are objects.
+    """
+
+    index: int
+    grey: ByteImage
+    detail: ByteImage
+    from_previous: Matrix
+    objects: Mask | None = None
+
+
+def prepare(
+    picture: ByteImage,
+    resolution: Resolution,
+    index: int,
+    previous: PreparedFrame | None,
+) -> PreparedFrame:
+    """Scale an 8-bit picture, HxW or HxWx3, and register it to the frame before."""
+    grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY) if picture.ndim == 3 else picture
+    grey = _resized(grey, resolution.processing)
+    detail = _resized(picture, resolution.detail)
+    return PreparedFrame(
+        index=index,
+        grey=grey,
+        detail=detail.reshape(*detail.shape[:2], -1),
+        from_previous=np.eye(3) if previous is None else register_affine(previous.grey, grey),
+    )
+
+
+class FrameWindow:
+    """The frames at hand: all around those still to be segmented, and key frames of the past."""
+
+    def __init__(self, interval: int, look_ahead: int, memory: int, key_step: int) -> None:
+        """Set up an empty window.
+
+        :param interval: B, the largest interval between a frame and a neighbour.
+        :param look_ahead: frames after a frame that must be there before it is segmented.
+        :param memory: age in frames up to which key frames are kept.
+        :param key_step: every how many frames one is kept as a key frame.
+        """
+        self._interval = interval
+        self._look_ahead = look_ahead
+        self._memory = memory
+        self._key_step = key_step
+        self._frames: dict[int, PreparedFrame] = {}
+        self._next_centre = 0
+        self._count = 0
+
+    def __getitem__(self, index: int) -> PreparedFrame:
+        return self._frames[index]
+
+    @property
+    def newest(self) -> PreparedFrame | None:
+        """The frame that came last."""
+        return self._frames.get(self._count - 1)
+
+    @property
+    def count(self) -> int:
+        """How many frames have come."""
+        return self._count
+
+    def append(self, prepared: PreparedFrame) -> None:
+        """Take the next frame."""
+        self._frames[prepared.index] = prepared
+        self._count += 1
+
+    def ready(self, ended: bool = False) -> Iterator[int]:
+        """Give, in order, the index of each frame that can be segmented now.
+
+        The first frames lack a past, so they wait for twice the look-ahead. When the stream has
+        `ended`, every frame is ready.
+        """
+        while self._next_centre < self._count:
+            centre = self._next_centre
+            wanted = centre + self._look_ahead
+            if centre < self._interval:
+                wanted = max(wanted, 2 * self._look_ahead)
+            if not ended and self._count <= wanted:
+                return
+            self._next_centre += 1
+            yield centre
+            self._forget()
+
+    def mark_objects(self, index: int, objects: Mask) -> None:
+        """Remember which pixels of a frame are objects, not background."""
+        if index in self._frames:
+            self._frames[index] = replace(self._frames[index], objects=objects)
+
+    def neighbours(self, centre: int, wanted: Sequence[int]) -> list[int]:
+        """Give the intervals to compare a frame over: the wanted ones that exist.
+
+        At the ends of the stream, where one side is missing, as many more are taken from the
+        other side, in steps of the smallest wanted one.
+        """
+        there = [k for k in wanted if centre + k in self._frames]
+        step = min(abs(k) for k in wanted)
+        reach = 2 * self._interval
+        spare = [
+            sign * distance
+            for distance in range(step, reach + 1, step)
+            for sign in (-1, 1)
+            if sign * distance not in wanted
+        ]
+        for k in spare:
+            if len(there) >= len(wanted):
+                break
+            if centre + k in self._frames:
+                there.append(k)
+        return sorted(there)
+
+    def key_frames(self, centre: int) -> list[int]:
+        """Give the indices of the frames that show the scene at other times than `centre`."""
+        # Early on there are few: then every frame at hand counts.
+        early = centre < 4 * self._key_step
+        return sorted(
+            k for k in self._frames if k != centre and (early or k % self._key_step == 0)
+        )
+
+    def transform(self, source: int, target: int) -> Matrix:
+        """Give the transform of processing pixels from frame `source` to frame `target`."""
+        low, high = sorted((source, target))
+        chained = np.eye(3)
+        for index in sorted(self._frames):
+            if low < index <= high:
+                chained = self._frames[index].from_previous @ chained
+        result: Matrix = chained if source <= target else np.linalg.inv(chained)
+        return result
+
+    def _forget(self) -> None:
+        """Drop frames that no later one needs, handing their motion to the next that stays."""
+        newest_done = self._next_centre - 1
+        for index in sorted(self._frames):
+            age = newest_done - index
+            key = index % self._key_step == 0 and age <= self._memory
+            if age <= 2 * self._interval or key:
+                continue
+            dropped = self._frames.pop(index)
+            later = min((k for k in self._frames if k > index), default=None)
+            if later is not None:
+                heir = self._frames[later]
+                self._frames[later] = replace(
+                    heir, from_previous=heir.from_previous @ dropped.from_previous
+                )
+
+
+def _resized(image: ByteImage, size: tuple[int, int]) -> ByteImage:
+    if (image.shape[1], image.shape[0]) == size:
+        return image
+    shrinks = size[0] < image.shape[1]
+    interpolation = cv2.INTER_AREA if shrinks else cv2.INTER_CUBIC
+    resized: ByteImage = cv2.resize(image, size, interpolation=interpolation)
+    return resized
