@@ -1,0 +1,189 @@
+"""`turbseg_simulate`: scenes, or somebody's own bag, through turbulent air into bags."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from tqdm import tqdm
+
+from turbseg_ros.bag.errors import BagError
+from turbseg_ros.bag.reader import BagReader, Record
+from turbseg_ros.bag.writer import BagWriter
+from turbseg_ros.cli.errors import UsageError, executable
+from turbseg_ros.evaluation.labels import TRUTH_TOPIC, LabelsByStamp, read_labels
+from turbseg_ros.ros.image_conversion import (
+    ImageConversionError,
+    image_from_message,
+    message_from_image,
+    stamp_to_ns,
+)
+from turbseg_ros.simulation.render import render
+from turbseg_ros.simulation.scenes import SCENES, Scene, UnknownSceneError, scene
+from turbseg_ros.simulation.turbulence import Turbulence
+from turbseg_ros.simulation.warp import ClipWarper, Image
+
+_IMAGE_TOPIC = "/camera/image_raw"
+_FRAME_ID = "camera_optical_frame"
+_MAX_TILT_PX = 20.0
+_ENCODINGS = {
+    ("uint8", 2): "mono8",
+    ("uint8", 3): "bgr8",
+    ("uint16", 2): "mono16",
+    ("uint16", 3): "bgr16",
+    ("float32", 2): "32FC1",
+}
+
+
+@executable("turbseg_simulate")
+def main(arguments: Sequence[str] | None) -> int:
+    """Run the executable; give its exit status."""
+    options = _parser().parse_args(arguments)
+    if options.list:
+        _list_scenes()
+        return 0
+    _check(options)
+    if options.warp is not None:
+        _warp_bag(options.warp, options.image_topic, options.tilt, options.seed, options.out)
+        return 0
+    for chosen, path in _chosen_scenes(options.scene, options.out):
+        strength = chosen if options.tilt is None else chosen.with_tilt(options.tilt)
+        _render_bag(strength, options.seed, path)
+    return 0
+
+
+def _check(options: argparse.Namespace) -> None:
+    if options.out is None:
+        raise UsageError("name the bag to be written with -o OUT")
+    if options.tilt is not None and not 0 <= options.tilt <= _MAX_TILT_PX:
+        raise UsageError(f"--tilt {options.tilt:g}: give 0 to {_MAX_TILT_PX:g} pixels")
+    if options.seed < 0:
+        raise UsageError(f"--seed {options.seed}: give 0 or more")
+    if options.warp is not None and options.tilt is None:
+        raise UsageError("--warp needs --tilt PX, the strength of the turbulence")
+
+
+def _list_scenes() -> None:
+    width = max(map(len, SCENES))
+    for entry in SCENES.values():
+        size = f"{entry.width}x{entry.height}"
+        print(
+            f"{entry.name:{width}}  {size:>7} {entry.sensor.encoding:6} {entry.frames:3} frames"
+            f"  tilt {entry.turbulence.tilt_px:4.2f} px  {entry.summary}"
+        )
+
+
+def _chosen_scenes(name: str, out: Path) -> list[tuple[Scene, Path]]:
+    """Give the scenes to render and the bags to write; refuses before anything is rendered."""
+    if name == "all":
+        chosen = [(entry, out / entry.name) for entry in SCENES.values()]
+    else:
+        try:
+            chosen = [(scene(name), out)]
+        except UnknownSceneError as error:
+            raise UsageError(str(error)) from error
+    for _, path in chosen:
+        if path.exists():
+            raise UsageError(f"{path} exists already; remove it or choose another output")
+    return chosen
+
+
+def _render_bag(chosen: Scene, seed: int, path: Path) -> None:
+    frames = tqdm(
+        render(chosen, seed), desc=chosen.name, total=chosen.frames, unit="frame",
+        dynamic_ncols=True, leave=False, disable=None,
+    )  # fmt: skip
+    with BagWriter(path) as bag:
+        for frame in frames:
+            stamp = frame.stamp_ns
+            encoding = chosen.sensor.encoding
+            picture = message_from_image(frame.image, encoding, stamp, _FRAME_ID)
+            truth = message_from_image(frame.labels, "mono16", stamp, _FRAME_ID)
+            bag.write(_IMAGE_TOPIC, picture, stamp)
+            bag.write(TRUTH_TOPIC, truth, stamp)
+    print(f"{path}: {chosen.frames} frames of '{chosen.name}', seed {seed}")
+
+
+def _warp_bag(source: Path, image_topic: str | None, tilt: float, seed: int, out: Path) -> None:
+    """Write a bag whose frames and truth are warped and whose other messages are copied."""
+    reader = BagReader(source)
+    topic = reader.find_image_topic(image_topic)
+    has_truth = TRUTH_TOPIC in reader.topics
+    truth = LabelsByStamp(read_labels(reader, TRUTH_TOPIC) if has_truth else ())
+    count = scored = 0
+    with BagWriter(out) as bag:
+        warper = None
+        for record in _with_progress(reader):
+            if record.topic == TRUTH_TOPIC:
+                continue  # goes with its frame
+            if record.topic != topic:
+                bag.write_serialized(record.topic, record.type_name, record.data, record.stamp_ns)
+                continue
+            message = record.message()
+            stamp, frame_id = stamp_to_ns(message.header.stamp), message.header.frame_id
+            try:
+                image = image_from_message(message)
+                if warper is None:
+                    turbulence = Turbulence.typical(tilt, image.shape[1])
+                    warper = ClipWarper(image.shape[:2], turbulence, seed)
+                seen, labels = warper.distort(image, truth.at(stamp))
+            except (ImageConversionError, ValueError) as error:
+                raise BagError(f"{source}: image {count} on {topic}: {error}") from error
+            picture = message_from_image(seen, _encoding(seen), stamp, frame_id)
+            bag.write(topic, picture, record.stamp_ns)
+            if labels is not None:
+                mask = message_from_image(labels, _encoding(labels), stamp, frame_id)
+                bag.write(TRUTH_TOPIC, mask, record.stamp_ns)
+                scored += 1
+            count += 1
+    print(f"{out}: {count} frames, {scored} with truth, tilt {tilt:g} px, seed {seed}")
+    if scored < len(truth):
+        print(
+            f"{len(truth) - scored} label images had no frame and were left out", file=sys.stderr
+        )
+
+
+def _with_progress(reader: BagReader) -> Iterator[Record]:
+    total = sum(topic.message_count for topic in reader.topics.values())
+    yield from tqdm(
+        reader.messages(), desc=reader.path.name, total=total, unit="message",
+        dynamic_ncols=True, leave=False, disable=None,
+    )  # fmt: skip
+
+
+def _encoding(image: Image) -> str:
+    return _ENCODINGS[image.dtype.name, image.ndim]
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="turbseg_simulate",
+        description="Render scenes seen through turbulent air into bags, with exact truth, or put "
+        "turbulence on a bag of your own.",
+    )
+    task = parser.add_mutually_exclusive_group(required=True)
+    task.add_argument("--list", action="store_true", help="list the scenes")
+    task.add_argument("--scene", metavar="NAME", help="render this scene, or 'all' of them")
+    task.add_argument(
+        "--warp", type=Path, metavar="BAG", help="warp this bag's images and their truth"
+    )
+    parser.add_argument(
+        "-o", "--out", type=Path, metavar="OUT", help="bag to be written; with 'all' a folder"
+    )
+    parser.add_argument(
+        "--tilt",
+        type=float,
+        metavar="PX",
+        help="rms tilt a axis in pixels of the image, instead of the scene's own",
+    )
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="default: 0")
+    parser.add_argument(
+        "--image-topic", metavar="T", help="images to warp, where the bag has several topics"
+    )
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main(None))
