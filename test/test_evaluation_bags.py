@@ -20,8 +20,8 @@ from turbseg_ros.evaluation.evaluate import (
     evaluate_labels,
     evaluate_segmenter,
 )
+from turbseg_ros.evaluation.labels import TRUTH_TOPIC, LabelsByStamp, StampedLabels, read_labels
 from turbseg_ros.evaluation.replay import BagFrames, segment
-from turbseg_ros.evaluation.truth import TRUTH_TOPIC, StampedLabels, Truth, read_labels
 from turbseg_ros.ros.image_conversion import message_from_image
 from turbseg_ros.segmentation.frame import Frame, SegmentationResult
 
@@ -101,7 +101,7 @@ def test_an_unreadable_image_is_skipped_and_counted(
 
 def test_a_perfect_segmenter_scores_one(tmp_path: Path) -> None:
     reader = BagReader(write_bag(tmp_path / "bag"))
-    truth = Truth(read_labels(reader, TRUTH_TOPIC))
+    truth = LabelsByStamp(read_labels(reader, TRUTH_TOPIC))
     scores = evaluate_segmenter("bag", BagFrames(reader, IMAGE_TOPIC), BrightAreas(), truth)
     assert (scores.frames, scores.scored_frames, scores.id_switches) == (6, 6, 0)
     assert scores.j == scores.dice == scores.g == scores.boundary_f == 1.0
@@ -113,7 +113,7 @@ def test_a_perfect_segmenter_scores_one(tmp_path: Path) -> None:
 
 def test_frames_without_truth_are_left_out(tmp_path: Path) -> None:
     reader = BagReader(write_bag(tmp_path / "bag", truth=(2, 4)))
-    truth = Truth(read_labels(reader, TRUTH_TOPIC))
+    truth = LabelsByStamp(read_labels(reader, TRUTH_TOPIC))
     scores = evaluate_segmenter("bag", BagFrames(reader, IMAGE_TOPIC), BrightAreas(), truth)
     assert (scores.frames, scores.scored_frames) == (6, 2)
 
@@ -121,7 +121,7 @@ def test_frames_without_truth_are_left_out(tmp_path: Path) -> None:
 def test_truth_scored_against_itself_is_perfect(tmp_path: Path) -> None:
     reader = BagReader(write_bag(tmp_path / "bag"))
     scores = evaluate_labels(
-        "bag", read_labels(reader, TRUTH_TOPIC), Truth(read_labels(reader, TRUTH_TOPIC))
+        "bag", read_labels(reader, TRUTH_TOPIC), LabelsByStamp(read_labels(reader, TRUTH_TOPIC))
     )
     assert (scores.j, scores.dice, scores.boundary_f, scores.id_switches) == (1.0, 1.0, 1.0, 0)
     assert scores.fps is None
@@ -129,7 +129,7 @@ def test_truth_scored_against_itself_is_perfect(tmp_path: Path) -> None:
 
 def test_truth_keeps_labels_of_16_bits() -> None:
     labels = np.arange(48 * 64, dtype=np.uint16).reshape(48, 64) * 20
-    truth = Truth(iter([StampedLabels(7, labels)]))
+    truth = LabelsByStamp(iter([StampedLabels(7, labels)]))
     kept = truth.at(7)
     assert kept is not None
     assert kept.dtype == np.uint16
@@ -138,14 +138,14 @@ def test_truth_keeps_labels_of_16_bits() -> None:
 
 
 def test_labels_that_no_truth_belongs_to_are_an_error(tmp_path: Path) -> None:
-    truth = Truth(read_labels(BagReader(write_bag(tmp_path / "bag")), TRUTH_TOPIC))
+    truth = LabelsByStamp(read_labels(BagReader(write_bag(tmp_path / "bag")), TRUTH_TOPIC))
     late = StampedLabels(77, np.zeros((48, 64), np.uint16))
     with pytest.raises(EvaluationError, match="none of 1 frames has a truth"):
         evaluate_labels("bag", [late], truth)
 
 
 def test_truth_of_another_size_is_an_error(tmp_path: Path) -> None:
-    truth = Truth(read_labels(BagReader(write_bag(tmp_path / "bag")), TRUTH_TOPIC))
+    truth = LabelsByStamp(read_labels(BagReader(write_bag(tmp_path / "bag")), TRUTH_TOPIC))
     small = StampedLabels(0, np.zeros((24, 32), np.uint16))
     with pytest.raises(EvaluationError, match=r"bag: truth of 64x48 doesn't fit labels of 32x24"):
         evaluate_labels("bag", [small], truth)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable, Sequence
 
+from turbseg_ros.evaluation.labels import LabelsByStamp, StampedLabels
 from turbseg_ros.evaluation.replay import Segmenter, segment
 from turbseg_ros.evaluation.scores import BagScores, Measurements, Scorer
-from turbseg_ros.evaluation.truth import StampedLabels, Truth
 from turbseg_ros.segmentation.frame import Frame, SegmentationResult
 
 
@@ -16,7 +16,7 @@ class EvaluationError(Exception):
 
 
 def evaluate_segmenter(
-    bag: str, frames: Iterable[Frame], segmenter: Segmenter, truth: Truth
+    bag: str, frames: Iterable[Frame], segmenter: Segmenter, truth: LabelsByStamp
 ) -> BagScores:
     """Segment the frames of a bag and score the results.
 
@@ -29,7 +29,7 @@ def evaluate_segmenter(
     return _evaluate(bag, labels, truth, measured.measurements)
 
 
-def evaluate_labels(bag: str, labels: Iterable[StampedLabels], truth: Truth) -> BagScores:
+def evaluate_labels(bag: str, labels: Iterable[StampedLabels], truth: LabelsByStamp) -> BagScores:
     """Score labels that were recorded, from a live node for instance.
 
     :raises EvaluationError: when no labels have a truth, or one of another size.
@@ -38,7 +38,10 @@ def evaluate_labels(bag: str, labels: Iterable[StampedLabels], truth: Truth) -> 
 
 
 def _evaluate(
-    bag: str, predictions: Iterable[StampedLabels], truth: Truth, measurements: Measurements
+    bag: str,
+    predictions: Iterable[StampedLabels],
+    truth: LabelsByStamp,
+    measurements: Measurements,
 ) -> BagScores:
     scorer = Scorer()
     frames = 0

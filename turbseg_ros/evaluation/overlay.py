@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol
 
 import cv2
@@ -20,17 +21,18 @@ Colour = tuple[int, int, int]
 # Blue, green, red. Bright on sky and ground alike, and neighbours in the list far apart.
 _PALETTE: tuple[Colour, ...] = (
     (60, 225, 255),
-    (255, 120, 40),
-    (90, 90, 255),
+    (255, 165, 80),
+    (100, 100, 255),
     (255, 255, 90),
-    (215, 90, 255),
+    (225, 110, 255),
     (110, 255, 120),
     (40, 150, 255),
     (255, 190, 190),
     (160, 255, 220),
-    (255, 80, 160),
+    (255, 135, 195),
 )
 _SHADOW: Colour = (20, 20, 20)
+_SHADOW_WIDTH = 3
 _WHITE: Colour = (245, 245, 245)
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 # Height of a capital letter at scale 1, in pixels.
@@ -149,42 +151,43 @@ def draw_overlay(
     return canvas
 
 
+class OverlayStrip:
+    """A picture of results evenly spaced over a sequence of `frames`, with their numbers."""
+
+    def __init__(
+        self,
+        frames: int,
+        tiles: int = 9,
+        tile_width: int = 480,
+        annotators: Sequence[Annotator] = DEFAULT_ANNOTATORS,
+    ) -> None:
+        self._wanted = set(evenly_spaced(frames, tiles))
+        self._tile_width = tile_width
+        self._annotators = annotators
+        self._seen = 0
+        self._tiles: list[npt.NDArray[np.uint8]] = []
+
+    def add(self, result: SegmentationResult) -> None:
+        """Take the sequence's next result; it is drawn if its turn has come."""
+        if self._seen in self._wanted:
+            canvas = draw_overlay(result, self._annotators, self._tile_width)
+            lower_left = (6, 6 + round(canvas.text_scale * _FONT_HEIGHT))
+            _write(canvas, f"frame {self._seen}", lower_left, _WHITE)
+            self._tiles.append(canvas.image)
+        self._seen += 1
+
+    def picture(self, columns: int = 3) -> npt.NDArray[np.uint8]:
+        """Give what was drawn, line by line: uint8 HxWx3 (blue, green, red).
+
+        :raises ValueError: when there was no result.
+        """
+        return _grid(self._tiles, columns)
+
+
 def evenly_spaced(total: int, wanted: int) -> list[int]:
     """Give at most `wanted` indices from the whole of `range(total)`, both ends among them."""
     count = min(total, wanted)
     return [int(index) for index in np.rint(np.linspace(0, total - 1, count))]
-
-
-def overlay_strip(
-    tiles: Sequence[tuple[int, SegmentationResult]],
-    columns: int = 3,
-    tile_width: int = 480,
-    annotators: Sequence[Annotator] = DEFAULT_ANNOTATORS,
-) -> npt.NDArray[np.uint8]:
-    """Draw results, each with its frame number, into one grid, read line by line.
-
-    :returns: uint8 HxWx3 (blue, green, red).
-    :raises ValueError: when there is nothing to draw.
-    """
-    if not tiles:
-        raise ValueError("a strip needs at least one frame")
-    pictures = []
-    for number, result in tiles:
-        canvas = draw_overlay(result, annotators, tile_width)
-        _write(canvas, f"frame {number}", (6, 6 + round(canvas.text_scale * _FONT_HEIGHT)), _WHITE)
-        pictures.append(canvas.image)
-    gap = 4
-    height = max(picture.shape[0] for picture in pictures)
-    columns = min(columns, len(pictures))
-    rows = -(-len(pictures) // columns)
-    strip = np.full(
-        (rows * (height + gap) - gap, columns * (tile_width + gap) - gap, 3), 255, np.uint8
-    )
-    for index, picture in enumerate(pictures):
-        top = index // columns * (height + gap)
-        left = index % columns * (tile_width + gap)
-        strip[top : top + picture.shape[0], left : left + tile_width] = picture
-    return strip
 
 
 def to_bgr8(image: Image) -> npt.NDArray[np.uint8]:
@@ -193,6 +196,39 @@ def to_bgr8(image: Image) -> npt.NDArray[np.uint8]:
     if grey_levels.ndim == 2:
         return np.asarray(cv2.cvtColor(grey_levels, cv2.COLOR_GRAY2BGR))
     return grey_levels.copy()
+
+
+def write_png(path: Path, picture: npt.NDArray[np.uint8]) -> None:
+    """Write a picture under its name when it is complete.
+
+    :raises OSError: when the file can't be written; an older one then stays as it was.
+    """
+    _, encoded = cv2.imencode(".png", picture)
+    partial = path.with_name(f".{path.name}.partial")
+    try:
+        partial.write_bytes(encoded.tobytes())
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def _grid(
+    tiles: Sequence[npt.NDArray[np.uint8]], columns: int, gap: int = 4
+) -> npt.NDArray[np.uint8]:
+    """Lay out tiles on white, in cells of the largest one's size."""
+    if not tiles:
+        raise ValueError("a strip needs at least one frame")
+    columns = min(columns, len(tiles))
+    rows = -(-len(tiles) // columns)
+    height = max(tile.shape[0] for tile in tiles)
+    width = max(tile.shape[1] for tile in tiles)
+    grid_size = (rows * (height + gap) - gap, columns * (width + gap) - gap, 3)
+    grid = np.full(grid_size, 255, np.uint8)
+    for index, tile in enumerate(tiles):
+        row, column = divmod(index, columns)
+        top, left = row * (height + gap), column * (width + gap)
+        grid[top : top + tile.shape[0], left : left + tile.shape[1]] = tile
+    return grid
 
 
 def _stretched(image: Image) -> npt.NDArray[np.uint8]:
@@ -211,9 +247,10 @@ def _stretched(image: Image) -> npt.NDArray[np.uint8]:
 def _write(canvas: Canvas, text: str, corner: tuple[int, int], colour: Colour) -> None:
     """Write text with its lower left at `corner`, moved inside the canvas where it must be."""
     scale = canvas.text_scale
-    (width, height), _ = cv2.getTextSize(text, _FONT, scale, 1)
+    (width, height), baseline = cv2.getTextSize(text, _FONT, scale, 1)
     canvas_height, canvas_width = canvas.image.shape[:2]
-    x = max(1, min(corner[0], canvas_width - width - 1))
-    y = max(height + 1, min(corner[1], canvas_height - 2))
-    for ink, thickness in ((_SHADOW, 3), (colour, 1)):
+    margin = 2 * _SHADOW_WIDTH
+    x = max(margin, min(corner[0], canvas_width - width - margin))
+    y = max(height + margin, min(corner[1], canvas_height - baseline))
+    for ink, thickness in ((_SHADOW, _SHADOW_WIDTH), (colour, 1)):
         cv2.putText(canvas.image, text, (x, y), _FONT, scale, ink, thickness, cv2.LINE_AA)

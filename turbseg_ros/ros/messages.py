@@ -257,22 +257,19 @@ class Output:
 
 def outputs(max_objects: int, markers: CentroidMarkers) -> tuple[Output, ...]:
     """Give the topics that hold what was found; `markers` are those of this stream of results."""
-    slots = (
-        Output(
-            f"objects/slot_{slot}/mask",
-            Image,
-            functools.partial(slot_mask_message, slot=slot),
-            on_demand=True,
-        )
-        for slot in range(max_objects)
-    )
     return (
         Output("labels", Image, labels_message),
         Output("mask", Image, mask_message),
         Output("centroids", MarkerArray, markers.message),
         Output("annotations", ImageMarker, annotations_message),
-        *slots,
+        *map(slot_output, range(max_objects)),
     )
+
+
+def slot_output(slot: int) -> Output:
+    """Give the topic of the mask of the object that holds a slot."""
+    build = functools.partial(slot_mask_message, slot=slot)
+    return Output(f"objects/slot_{slot}/mask", Image, build, on_demand=True)
 
 
 # Topics for people to look at.

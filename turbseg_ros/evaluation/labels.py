@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import cv2
@@ -17,6 +18,7 @@ from turbseg_ros.ros.image_conversion import (
     image_from_message,
     stamp_to_ns,
 )
+from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResult
 
 TRUTH_TOPIC = "/ground_truth/labels"
 LABELS_TOPIC = "/turbseg/labels"
@@ -52,24 +54,49 @@ def read_labels(reader: BagReader, topic: str) -> Iterator[StampedLabels]:
         yield StampedLabels(stamp_to_ns(message.header.stamp), labels)
 
 
-class Truth:
-    """The true labels of a bag, by the stamp of their frame.
+class LabelsByStamp:
+    """Label images by the stamp of their frame.
 
-    They are held compressed, for a bag of long high-resolution truth doesn't fit into memory.
+    They are held compressed, for those of a long high-resolution bag don't fit into memory.
     """
 
-    def __init__(self, truth: Iterator[StampedLabels]) -> None:
-        self._compressed = {item.stamp: _compressed(item.labels) for item in truth}
+    def __init__(self, items: Iterable[StampedLabels]) -> None:
+        self._compressed = {item.stamp: _compressed(item.labels) for item in items}
 
     def __len__(self) -> int:
         return len(self._compressed)
 
     def at(self, stamp: int) -> Labels | None:
-        """Give the labels of the frame with this stamp, None when its truth is not known."""
+        """Give the labels of the frame with this stamp, None when there are none."""
         compressed = self._compressed.get(stamp)
         if compressed is None:
             return None
         return np.asarray(cv2.imdecode(compressed, cv2.IMREAD_UNCHANGED))
+
+
+def result_from_labels(frame: Frame, labels: Labels) -> SegmentationResult:
+    """Give the result that labels alone tell of: objects without velocity, slot and trail."""
+    return SegmentationResult(
+        frame=frame,
+        labels=labels.astype(np.uint16, copy=False),
+        objects=tuple(_object(labels, int(value)) for value in np.unique(labels) if value),
+        motion_map=np.zeros((0, 0), np.float32),
+        tilt=math.nan,
+        ego_motion_model="",
+    )
+
+
+def _object(labels: Labels, object_id: int) -> MovingObject:
+    rows, columns = np.nonzero(labels == object_id)
+    left, top = int(columns.min()), int(rows.min())
+    return MovingObject(
+        id=object_id,
+        slot=-1,
+        centroid=(float(columns.mean()), float(rows.mean())),
+        velocity=(0.0, 0.0),
+        area=rows.size,
+        box=(left, top, int(columns.max()) - left + 1, int(rows.max()) - top + 1),
+    )
 
 
 def _compressed(labels: Labels) -> npt.NDArray[np.uint8]:

@@ -1,0 +1,77 @@
+"""Command-line options that several executables share."""
+
+from __future__ import annotations
+
+import argparse
+import textwrap
+from collections.abc import Iterator
+from pathlib import Path
+
+import yaml
+from tqdm import tqdm
+from tqdm.contrib.logging import logging_redirect_tqdm
+
+from turbseg_ros.evaluation.replay import BagFrames
+from turbseg_ros.parameters import (
+    Declaration,
+    ParameterError,
+    Parameters,
+    declarations,
+    load_parameters,
+)
+from turbseg_ros.segmentation.frame import Frame
+
+
+def add_parameter_options(parser: argparse.ArgumentParser) -> None:
+    """Add `--params-file` and `-p`, and list the parameters below the help text."""
+    group = parser.add_argument_group("parameters")
+    group.add_argument(
+        "--params-file", type=Path, metavar="YAML", help="ROS 2 parameter file of the node"
+    )
+    group.add_argument(
+        "-p",
+        "--param",
+        dest="overrides",
+        action="append",
+        default=[],
+        metavar="NAME:=VALUE",
+        help="set one parameter, after the file; may be repeated",
+    )
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.epilog = "\n".join(["parameter names:", *map(_described, declarations())])
+
+
+def parameters_from(options: argparse.Namespace) -> Parameters:
+    """Give the parameters that the options of `add_parameter_options` ask for.
+
+    :raises ParameterError: when the file or an override is refused.
+    """
+    parameters = Parameters()
+    if options.params_file is not None:
+        parameters = load_parameters(options.params_file)
+    return parameters.replace(dict(_parsed(override) for override in options.overrides))
+
+
+def with_progress(frames: BagFrames, title: str) -> Iterator[Frame]:
+    """Show a progress bar while the frames are taken, if standard error is a terminal."""
+    with logging_redirect_tqdm():
+        yield from tqdm(
+            frames, desc=title, unit="frame", dynamic_ncols=True, leave=False, disable=None
+        )
+
+
+def _parsed(override: str) -> tuple[str, object]:
+    name, separator, value = override.partition(":=")
+    if not (name and separator):
+        raise ParameterError(f"-p takes NAME:=VALUE, not {override!r}")
+    try:
+        return name, yaml.safe_load(value)
+    except yaml.YAMLError as error:
+        raise ParameterError(f"-p {override}: the value is not YAML") from error
+
+
+def _described(declaration: Declaration) -> str:
+    unit = f" [{declaration.unit}]" if declaration.unit else ""
+    text = f"{declaration.description} Default: {declaration.default}{unit}."
+    body = textwrap.fill(text, width=92, initial_indent=" " * 6, subsequent_indent=" " * 6)
+    return f"  {declaration.name}\n{body}"

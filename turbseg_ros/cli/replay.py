@@ -1,0 +1,94 @@
+"""`turbseg_replay`: a bag through the method, its results into another bag."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from turbseg_ros.bag.errors import BagError
+from turbseg_ros.bag.reader import BagReader
+from turbseg_ros.bag.writer import BagWriter
+from turbseg_ros.cli.errors import executable
+from turbseg_ros.cli.options import add_parameter_options, parameters_from, with_progress
+from turbseg_ros.evaluation.overlay import OverlayStrip, write_png
+from turbseg_ros.evaluation.replay import BagFrames, segment
+from turbseg_ros.ros.messages import CentroidMarkers, Output, outputs, slot_output
+from turbseg_ros.segmentation.frame import SegmentationResult
+from turbseg_ros.segmentation.pipeline import MotionSegmenter
+
+# Name of the node whose topics the results are written to.
+_NODE = "/turbseg"
+
+
+class ResultWriter:
+    """Writes results to the node's topics in a bag, at the stamps of their frames.
+
+    A slot has its topic from the first object on that holds it, with a mask for each frame.
+    """
+
+    def __init__(self, bag: BagWriter) -> None:
+        self._bag = bag
+        self._outputs = outputs(0, CentroidMarkers())
+        self._slots: dict[int, Output] = {}
+
+    def write(self, result: SegmentationResult) -> None:
+        """Append one result.
+
+        :raises BagError: when it can't be written.
+        """
+        for moving_object in result.objects:
+            if moving_object.slot >= 0 and moving_object.slot not in self._slots:
+                self._slots[moving_object.slot] = slot_output(moving_object.slot)
+        for output in (*self._outputs, *self._slots.values()):
+            message = output.build(result)
+            self._bag.write(f"{_NODE}/{output.name}", message, result.frame.stamp)
+
+
+@executable("turbseg_replay")
+def main(arguments: Sequence[str] | None) -> int:
+    """Run the executable; give its exit status."""
+    options = _parser().parse_args(arguments)
+    parameters = parameters_from(options)
+    reader = BagReader(options.bag)
+    frames = BagFrames(reader, reader.find_image_topic(options.image_topic))
+    strip = OverlayStrip(len(frames))
+    count = 0
+    with BagWriter(options.out) as bag:
+        results = ResultWriter(bag)
+        for result in segment(
+            with_progress(frames, reader.path.name), MotionSegmenter(parameters)
+        ):
+            results.write(result)
+            strip.add(result)
+            count += 1
+        if not count:
+            raise BagError(f"{reader.path}: none of {len(frames)} images could be read")
+    if options.overlay is not None:
+        write_png(options.overlay, strip.picture())
+    print(f"{options.out}: {count} results, {frames.skipped} images skipped")
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="turbseg_replay",
+        description="Segment every frame of a bag and write the node's topics into another bag.",
+    )
+    parser.add_argument("bag", type=Path, metavar="BAG", help="rosbag2 directory or MCAP file")
+    parser.add_argument(
+        "-o", "--out", type=Path, required=True, metavar="OUT", help="bag to be written"
+    )
+    parser.add_argument(
+        "--image-topic", metavar="T", help="images to segment, where the bag has several topics"
+    )
+    parser.add_argument(
+        "--overlay", type=Path, metavar="PNG", help="also draw nine frames with what was found"
+    )
+    add_parameter_options(parser)
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main(None))
