@@ -12,15 +12,20 @@ import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from types import FrameType
-from typing import NoReturn
+from typing import NoReturn, Protocol
 
 from turbseg_ros.bag.errors import BagError
 from turbseg_ros.parameters import ParameterError
 
-Main = Callable[[Sequence[str] | None], int]
-
 _REFUSED = 2  # as argparse ends
 _STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+class Main(Protocol):
+    """What an executable runs."""
+
+    def __call__(self, arguments: Sequence[str] | None = None) -> int:
+        """Take arguments, by default the process's own; give the exit status."""
 
 
 class UsageError(Exception):

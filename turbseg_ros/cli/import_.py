@@ -1,0 +1,144 @@
+"""`turbseg_import`: a video or a folder of frames, with its masks, into a bag."""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import math
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from tqdm import tqdm
+
+from turbseg_ros.bag.clip import (
+    Clip,
+    FrameFormat,
+    ImageFolder,
+    find_clip,
+    frame_format,
+)
+from turbseg_ros.bag.errors import ClipError
+from turbseg_ros.bag.masks import Labels, mask_meaning
+from turbseg_ros.bag.writer import BagWriter
+from turbseg_ros.cli.errors import UsageError, executable
+from turbseg_ros.evaluation.labels import TRUTH_TOPIC
+from turbseg_ros.ros.image_conversion import message_from_image
+
+_FRAME_ID = "camera"
+# ROS takes time 0 for "not set", so clips begin a second later.
+_START_NS = 1_000_000_000
+_FOLDER_RATE = 30.0  # Hz
+
+# By depth and whether there is colour.
+_ENCODINGS = {
+    ("uint8", False): "mono8",
+    ("uint16", False): "mono16",
+    ("float32", False): "32FC1",
+    ("uint8", True): "bgr8",
+    ("uint16", True): "bgr16",
+}
+
+
+@executable("turbseg_import")
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the executable; give its exit status."""
+    options = _parser().parse_args(arguments)
+    clip = find_clip(options.source, options.masks)
+    rate = options.rate or _own_rate(clip, options.source)
+    with BagWriter(options.out) as bag:
+        count = _write(clip, bag, options.topic, rate)
+    stated = clip.frames.stated_count
+    if stated is not None and stated != count:
+        print(f"{options.source} states {stated} frames; {count} could be read", file=sys.stderr)
+    print(f"{options.out}: {count} frames at {rate:g} Hz on {options.topic}, {_truth_of(clip)}")
+    return 0
+
+
+def _write(clip: Clip, bag: BagWriter, topic: str, rate: float) -> int:
+    """Write a clip's images and labels; give the number of frames."""
+    form = frame_format(clip.frames)
+    encoding = _encoding(form)
+    truth = itertools.repeat(None) if clip.masks is None else _labels(clip.masks, form)
+    progress = tqdm(
+        form.conform(clip.frames), total=clip.frames.stated_count, unit="frame", disable=None
+    )
+    count = 0
+    for frame, labels in zip(progress, truth, strict=False):
+        stamp = _START_NS + round(count / rate * 1e9)
+        bag.write(topic, message_from_image(frame, encoding, stamp, _FRAME_ID), stamp)
+        if labels is not None:
+            labels_encoding = "mono8" if labels.dtype.itemsize == 1 else "mono16"
+            message = message_from_image(labels, labels_encoding, stamp, _FRAME_ID)
+            bag.write(TRUTH_TOPIC, message, stamp)
+        count += 1
+    return count
+
+
+def _labels(masks: ImageFolder, form: FrameFormat) -> Iterator[Labels]:
+    meaning = mask_meaning(masks)
+    for number, mask in enumerate(masks):
+        height, width = mask.shape[:2]
+        if (height, width) != (form.height, form.width):
+            raise ClipError(
+                f"mask {number} is {width}x{height}, its frame {form.width}x{form.height} pixels"
+            )
+        yield meaning.labels(mask)
+
+
+def _encoding(form: FrameFormat) -> str:
+    encoding = _ENCODINGS.get((form.dtype.name, form.colour))
+    if encoding is None:
+        raise ClipError(f"the frames hold {form.dtype} values, which no encoding stores")
+    return encoding
+
+
+def _own_rate(clip: Clip, source: Path) -> float:
+    if isinstance(clip.frames, ImageFolder):
+        return _FOLDER_RATE
+    if clip.frames.rate is None:
+        raise UsageError(f"{source} states no frame rate; give it with --rate")
+    return clip.frames.rate
+
+
+def _truth_of(clip: Clip) -> str:
+    if clip.masks is None:
+        return "no masks"
+    return f"masks of {clip.masks.folder} on {TRUTH_TOPIC}"
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="turbseg_import",
+        description="Make a bag of a video file or a folder of frames, with masks as truth.",
+        epilog="Masks hold 0 for background and, for objects, one value (255, 1), labels 1, 2... "
+        "or the colours of DAVIS-2017. Frames and masks pair by order.",
+    )
+    parser.add_argument(
+        "source",
+        type=Path,
+        metavar="SRC",
+        help="video, folder of frames, or folder of a sequence (frames and masks beside one "
+        "another, or DAVIS's JPEGImages/480p/NAME)",
+    )
+    parser.add_argument("out", type=Path, metavar="OUT", help="bag to be written")
+    parser.add_argument("--masks", type=Path, metavar="DIR", help="folder with a mask a frame")
+    parser.add_argument(
+        "--rate",
+        type=_positive,
+        metavar="HZ",
+        help=f"frame rate (default: the video's own; {_FOLDER_RATE:g} for folders)",
+    )
+    parser.add_argument("--topic", default="/camera/image_raw", help="default: %(default)s")
+    return parser
+
+
+def _positive(text: str) -> float:
+    value = float(text)
+    if not (math.isfinite(value) and value > 0):
+        raise argparse.ArgumentTypeError(f"{text} is not above 0")
+    return value
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
