@@ -30,7 +30,7 @@ from turbseg_ros.segmentation.pipeline import MotionSegmenter
 
 
 @executable("turbseg_evaluate")
-def main(arguments: Sequence[str] | None) -> int:
+def main(arguments: Sequence[str] | None = None) -> int:
     """Run the executable; give its exit status, 1 when a bag couldn't be scored."""
     options = _parser().parse_args(arguments)
     if options.predictions is not None and len(options.bags) > 1:
@@ -106,4 +106,4 @@ def _parser() -> argparse.ArgumentParser:
 
 
 if __name__ == "__main__":
-    sys.exit(main(None))
+    sys.exit(main())

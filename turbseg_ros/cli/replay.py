@@ -47,7 +47,7 @@ class ResultWriter:
 
 
 @executable("turbseg_replay")
-def main(arguments: Sequence[str] | None) -> int:
+def main(arguments: Sequence[str] | None = None) -> int:
     """Run the executable; give its exit status."""
     options = _parser().parse_args(arguments)
     parameters = parameters_from(options)
@@ -91,4 +91,4 @@ def _parser() -> argparse.ArgumentParser:
 
 
 if __name__ == "__main__":
-    sys.exit(main(None))
+    sys.exit(main())

@@ -32,7 +32,6 @@ _PALETTE: tuple[Colour, ...] = (
     (255, 135, 195),
 )
 _SHADOW: Colour = (20, 20, 20)
-_SHADOW_WIDTH = 3
 _WHITE: Colour = (245, 245, 245)
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 # Height of a capital letter at scale 1, in pixels.
@@ -171,8 +170,7 @@ class OverlayStrip:
         """Take the sequence's next result; it is drawn if its turn has come."""
         if self._seen in self._wanted:
             canvas = draw_overlay(result, self._annotators, self._tile_width)
-            lower_left = (6, 6 + round(canvas.text_scale * _FONT_HEIGHT))
-            _write(canvas, f"frame {self._seen}", lower_left, _WHITE)
+            _write(canvas, f"frame {self._seen}", (4, 0), _WHITE)
             self._tiles.append(canvas.image)
         self._seen += 1
 
@@ -246,11 +244,24 @@ def _stretched(image: Image) -> npt.NDArray[np.uint8]:
 
 def _write(canvas: Canvas, text: str, corner: tuple[int, int], colour: Colour) -> None:
     """Write text with its lower left at `corner`, moved inside the canvas where it must be."""
-    scale = canvas.text_scale
-    (width, height), baseline = cv2.getTextSize(text, _FONT, scale, 1)
     canvas_height, canvas_width = canvas.image.shape[:2]
-    margin = 2 * _SHADOW_WIDTH
-    x = max(margin, min(corner[0], canvas_width - width - margin))
-    y = max(height + margin, min(corner[1], canvas_height - baseline))
-    for ink, thickness in ((_SHADOW, _SHADOW_WIDTH), (colour, 1)):
-        cv2.putText(canvas.image, text, (x, y), _FONT, scale, ink, thickness, cv2.LINE_AA)
+    ink = _ink(text, canvas.text_scale)[:canvas_height, :canvas_width]
+    # OpenCV 5 takes a text's thickness for the weight of its letters, so it can't make a rim.
+    rim = cv2.dilate(ink, np.ones((3, 3), np.uint8))
+    height, width = ink.shape
+    x = max(0, min(corner[0], canvas_width - width))
+    y = max(0, min(corner[1] - height, canvas_height - height))
+    window = canvas.image[y : y + height, x : x + width]
+    for paint, opacity in ((_SHADOW, rim), (colour, ink)):
+        share = opacity[..., None] / np.float32(255)
+        window[:] = np.rint(window * (1 - share) + np.asarray(paint, np.float32) * share)
+
+
+def _ink(text: str, scale: float) -> npt.NDArray[np.uint8]:
+    """Give the opacity of a text's pixels, 0 to 255, with room for a rim."""
+    (width, height), baseline = cv2.getTextSize(text, _FONT, scale, 1)
+    margin = 2
+    ink = np.zeros((height + baseline + 2 * margin, width + 2 * margin), np.uint8)
+    return np.asarray(
+        cv2.putText(ink, text, (margin, margin + height), _FONT, scale, 255, 1, cv2.LINE_AA)
+    )
