@@ -1,0 +1,22 @@
+"""Fixtures for what needs ROS running: a domain of one's own, node processes and a probe."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+# Localhost only, and a domain that another run on this machine hardly has too. Set before
+# anything starts ROS, and inherited by every process that a test starts.
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def ros_log_dir(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Keep ROS' log files out of the home directory."""
+    directory = tmp_path_factory.mktemp("ros_log")
+    os.environ["ROS_LOG_DIR"] = str(directory)
+    yield directory

@@ -1,0 +1,369 @@
+"""The node as a process of its own, over DDS on localhost."""
+
+import signal
+from collections import defaultdict
+from collections.abc import Iterator
+
+import cv2
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from node_harness import (
+    BEST_EFFORT,
+    SECOND,
+    Camera,
+    NodeProcess,
+    Probe,
+    moving_square,
+    stamps_of,
+)
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParametersAtomically
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+from std_srvs.srv import SetBool, Trigger
+from visualization_msgs.msg import ImageMarker, Marker, MarkerArray
+
+from turbseg_ros.parameters import Parameters
+from turbseg_ros.ros.image_conversion import image_from_message, message_from_image, ns_to_stamp
+from turbseg_ros.segmentation.frame import Frame
+from turbseg_ros.segmentation.pipeline import MotionSegmenter
+
+# Small enough to keep up on a busy machine; nothing is ever dropped.
+SETTINGS = {"resolution.processing": 160, "resolution.detail": 160, "queue_size": 500}
+ARGUMENTS = [item for name, value in SETTINGS.items() for item in ("-p", f"{name}:={value}")]
+
+
+@pytest.fixture(scope="module")
+def node(tmp_path_factory: pytest.TempPathFactory) -> Iterator[NodeProcess]:
+    """One node for all tests that leave it as it was."""
+    output = tmp_path_factory.mktemp("node") / "output"
+    with NodeProcess(output, *ARGUMENTS) as process:
+        yield process
+        status = process.stop(signal.SIGINT)
+    assert status == 0, process.output
+    assert "Traceback" not in process.output
+
+
+@pytest.fixture(scope="module")
+def only_probe() -> Iterator[Probe]:
+    with Probe() as probe:
+        yield probe
+
+
+@pytest.fixture
+def probe(only_probe) -> Iterator[Probe]:
+    yield only_probe
+    only_probe.forget()
+
+
+@pytest.fixture
+def labels(node, probe):
+    return probe.listen("/turbseg/labels", Image)
+
+
+@pytest.fixture
+def camera(labels, probe):
+    """A camera that the node hears, its last stream answered."""
+    return Camera(probe)
+
+
+def wait_for_answers(probe, labels, stamps):
+    probe.wait_for(lambda: len(labels) >= len(stamps), f"{len(stamps)} labels")
+    assert stamps_of(labels) == stamps
+
+
+def test_every_frame_is_answered_once_and_in_order(camera, labels, probe):
+    stamps = camera.play(moving_square(40))
+    wait_for_answers(probe, labels, stamps)
+    stamps += camera.play(moving_square(10))  # goes on after a pause
+    wait_for_answers(probe, labels, stamps)
+    assert {(label.encoding, label.width, label.height) for label in labels} == {
+        ("mono16", 160, 120)
+    }
+    assert {label.header.frame_id for label in labels} == {"camera"}
+
+
+def test_labels_are_those_that_the_segmenter_gives(camera, labels, probe):
+    segmenter = MotionSegmenter(Parameters.from_mapping(SETTINGS))
+    expected = []
+    for number, image in enumerate(moving_square(40)):
+        expected += segmenter.push(Frame(number * SECOND // 30, image))
+    expected += segmenter.flush()
+    wait_for_answers(probe, labels, camera.play(moving_square(40)))
+    assert any(result.labels.any() for result in expected)
+    for label, result in zip(labels, expected, strict=True):
+        # Ids go on from earlier tests; the outlines are the same.
+        np.testing.assert_array_equal(image_from_message(label) > 0, result.labels > 0)
+
+
+def test_topics_agree_on_what_was_found(camera, labels, probe):
+    masks = probe.listen("/turbseg/mask", Image)
+    slots = [
+        probe.listen(f"/turbseg/objects/slot_{slot}/mask", Image)
+        for slot in range(Parameters().max_objects)
+    ]
+    centroids = probe.listen("/turbseg/centroids", MarkerArray)
+    annotations = probe.listen("/turbseg/annotations", ImageMarker)
+    overlays = probe.listen("/turbseg/overlay", Image)
+    motions = probe.listen("/turbseg/motion", Image)
+    everything = [labels, masks, *slots, centroids, annotations, overlays, motions]
+
+    stamps = camera.play(moving_square(40))
+    probe.wait_for(lambda: all(len(topic) == 40 for topic in everything), "all topics")
+    for topic in (labels, masks, *slots, annotations, overlays, motions):
+        assert stamps_of(topic) == stamps
+    for number, label in enumerate(map(image_from_message, labels)):
+        ids = {int(value) for value in np.unique(label)} - {0}
+        np.testing.assert_array_equal(image_from_message(masks[number]), 255 * (label > 0))
+        shown = {m.id for m in centroids[number].markers if m.action == Marker.ADD}
+        assert shown >= ids
+        in_slots = [image_from_message(slot[number]) > 0 for slot in slots]
+        for object_mask in in_slots:
+            assert len(np.unique(label[object_mask])) <= 1
+        assert sum(mask.any() for mask in in_slots) == min(len(ids), len(slots))
+    assert {(m.encoding, m.width, m.height) for m in overlays} == {("bgr8", 160, 120)}
+    assert {m.encoding for m in motions} == {"32FC1"}
+
+
+def encoded(image):
+    """Give a grey image in many encodings, two frames each."""
+    colour = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
+    padded = message_from_image(image, "mono8", 0)
+    padded.step += 24
+    padded.data = bytes(np.pad(image, ((0, 0), (0, 24))).tobytes())
+    big_endian = message_from_image((image.astype(np.uint16) * 256).byteswap(), "mono16", 0)
+    big_endian.is_bigendian = 1
+    yield padded
+    yield big_endian
+    yield message_from_image(image, "8UC1", 0)
+    yield message_from_image(colour, "rgb8", 0)
+    yield message_from_image(cv2.cvtColor(colour, cv2.COLOR_BGR2BGRA), "bgra8", 0)
+    yield message_from_image(image, "bayer_rggb8", 0)
+    yield message_from_image(cv2.merge((image, image)), "yuv422_yuy2", 0)
+    yield message_from_image(image.astype(np.float32) / 255, "32FC1", 0)
+
+
+def test_encodings_may_change_in_midstream(camera, labels, probe):
+    first, second = moving_square(2)
+    stamps = []
+    for before, after in zip(encoded(first), encoded(second), strict=True):
+        stamps += [camera.send(before), camera.send(after)]
+    wait_for_answers(probe, labels, stamps)
+    assert {(label.width, label.height) for label in labels} == {(160, 120)}
+
+
+def test_the_size_may_change_in_midstream(camera, labels, probe, node):
+    stamps = camera.play(moving_square(8)) + camera.play(moving_square(8, (90, 200)))
+    wait_for_answers(probe, labels, stamps)
+    assert [(label.width, label.height) for label in labels] == [(160, 120)] * 8 + [(200, 90)] * 8
+    assert "the image changed from 160x120x1 uint8 to 200x90x1 uint8" in node.output
+
+
+def test_bad_images_are_skipped(camera, labels, probe, node):
+    good = list(moving_square(10))
+    stamps = camera.play(good[:5])
+    cut = message_from_image(good[0], "mono8", 0)
+    cut.data = cut.data[:100]
+    camera.send(cut)
+    camera.send(Image(width=4, height=4, step=4, encoding="jpeg?", data=bytes(16)))
+    camera.send(Image())
+    stamps += camera.play(good[5:])
+    wait_for_answers(probe, labels, stamps)
+    assert "image skipped: " in node.output
+
+
+def test_stamps_that_repeat_are_skipped_and_those_that_jump_back_begin_anew(
+    camera, labels, probe, node
+):
+    stamps = camera.play(moving_square(5))
+    camera.stamp -= SECOND // 30
+    camera.play(moving_square(1))
+    camera.stamp -= 60 * SECOND
+    stamps += camera.play(moving_square(5))
+    wait_for_answers(probe, labels, stamps)
+    assert "new window: time jumped back by 59.967 s" in node.output
+
+
+def figures(diagnostics):
+    """Give what the newest diagnostics show."""
+    newest = diagnostics[-1].status[0].values if diagnostics else ()
+    return defaultdict(str, {value.key: value.value for value in newest})
+
+
+def test_subscribes_as_the_cameras_offer(camera, labels, probe):
+    diagnostics = probe.listen("/diagnostics", DiagnosticArray)
+    best_effort = Camera(probe, qos=BEST_EFFORT)
+    probe.wait_for(
+        lambda: figures(diagnostics)["input reliability"] == "best_effort",
+        "a best-effort subscription",
+    )
+    wait_for_answers(probe, labels, best_effort.play(moving_square(1)))
+    best_effort.close()
+    probe.wait_for(
+        lambda: figures(diagnostics)["input reliability"] == "reliable",
+        "a reliable subscription",
+    )
+
+
+def test_diagnostics_come_every_second(camera, labels, probe):
+    diagnostics = probe.listen("/diagnostics", DiagnosticArray)
+    wait_for_answers(probe, labels, camera.play(moving_square(40)))
+    seen = len(diagnostics)
+    probe.wait_for(lambda: len(diagnostics) >= seen + 3, "diagnostics")
+    steps = np.diff(stamps_of(diagnostics)) / SECOND
+    assert np.median(steps) == pytest.approx(1.0, abs=0.3)
+    assert diagnostics[-1].status[0].name == "/turbseg: segmentation"
+    assert diagnostics[-1].status[0].hardware_id == "camera"
+    shown = figures(diagnostics)
+    assert shown["images received"] != "0"
+    assert shown["images dropped"] == "0"
+    assert shown["input topic"] == "/image_raw"
+    assert shown["ego-motion model"]
+
+
+def test_reset_answers_what_is_at_hand(camera, labels, probe, node):
+    stamps = camera.play(moving_square(20))
+    response = probe.call("/turbseg/reset", Trigger, Trigger.Request())
+    assert response.success
+    wait_for_answers(probe, labels, stamps)
+    assert "new window: reset was called" in node.output
+
+
+def test_a_disabled_node_hears_nothing_until_it_is_enabled(camera, labels, probe):
+    assert probe.call("/turbseg/enable", SetBool, SetBool.Request(data=False)).success
+    probe.wait_for(lambda: not probe.node.count_subscribers("/image_raw"), "no subscription")
+    camera.play(moving_square(5))
+    probe.spin(0.5)
+    assert labels == []
+    assert probe.call("/turbseg/enable", SetBool, SetBool.Request(data=True)).success
+    camera = Camera(probe)
+    wait_for_answers(probe, labels, camera.play(moving_square(5)))
+
+
+def set_parameters(probe, **values):
+    kinds = {int: ("integer_value", ParameterType.PARAMETER_INTEGER)}
+    kinds[float] = ("double_value", ParameterType.PARAMETER_DOUBLE)
+    parameters = []
+    for name, value in values.items():
+        field, kind = kinds[type(value)]
+        content = ParameterValue(type=kind, **{field: value})
+        parameters.append(Parameter(name=name.replace("__", "."), value=content))
+    return probe.call(
+        "/turbseg/set_parameters_atomically",
+        SetParametersAtomically,
+        SetParametersAtomically.Request(parameters=parameters),
+    ).result
+
+
+def test_parameters_change_live_or_are_refused_with_the_reason(camera, labels, probe):
+    stamps = camera.play(moving_square(10))
+    assert set_parameters(probe, growing__delta=0.5, seed__delta1=4.0).successful
+    stamps += camera.play(moving_square(10))
+    wait_for_answers(probe, labels, stamps)
+    refused = set_parameters(probe, growing__delta=0.4, flow__interval=2)
+    assert not refused.successful
+    assert "read-only" in refused.reason and "flow.interval" in refused.reason
+    refused = set_parameters(probe, growing__delta=-1.0)
+    assert not refused.successful
+    assert "growing.delta" in refused.reason
+    default = Parameters()
+    restored = {
+        "growing__delta": default.growing.delta,
+        "seed__delta1": default.seed.delta1,
+    }
+    assert set_parameters(probe, **restored).successful
+
+
+def test_markers_lie_on_the_unit_depth_plane_once_the_camera_is_known(camera, labels, probe):
+    info = CameraInfo(width=160, height=120, k=[1000.0, 0.0, 80.0, 0.0, 1000.0, 60.0, 0, 0, 1.0])
+    infos = probe.advertise("/camera_info", CameraInfo)
+    centroids = probe.listen("/turbseg/centroids", MarkerArray)
+    infos.publish(info)
+    probe.spin(0.2)
+    wait_for_answers(probe, labels, camera.play(moving_square(40)))
+    balls = [
+        marker
+        for array in centroids
+        for marker in array.markers
+        if marker.action == Marker.ADD and marker.ns == "centroid"
+    ]
+    assert balls
+    assert {ball.pose.position.z for ball in balls} == {1.0}
+    assert all(abs(ball.pose.position.x) <= 0.08 for ball in balls)
+
+
+def test_namespace_remapping_compressed_images_and_the_clock(tmp_path, probe):
+    arguments = [
+        *ARGUMENTS,
+        *("-r", "__ns:=/north", "-r", "image_raw:=/lens/image"),
+        *("-p", "image_transport:=compressed", "-p", "use_sim_time:=true"),
+    ]
+    with NodeProcess(tmp_path / "output", *arguments) as process:
+        labels = probe.listen("/north/turbseg/labels", Image)
+        camera = Camera(probe, "/lens/image/compressed", CompressedImage)
+        stamps = []
+        for image in moving_square(10):
+            data = cv2.imencode(".png", image)[1].tobytes()
+            stamps.append(camera.send(CompressedImage(format="png", data=data)))
+        wait_for_answers(probe, labels, stamps)
+        clock = probe.advertise("/clock", Clock)
+        for second in (100, 101, 50):
+            clock.publish(Clock(clock=ns_to_stamp(second * SECOND)))
+            probe.spin(0.2)
+        probe.wait_for(lambda: "the clock jumped by -51.000 s" in process.output, "the log")
+        assert process.stop(signal.SIGTERM) == 0
+
+
+@pytest.mark.parametrize(
+    "signals",
+    [(signal.SIGINT,), (signal.SIGINT, signal.SIGINT), (signal.SIGTERM, signal.SIGINT)],
+    ids=lambda signals: "+".join(number.name for number in signals),
+)
+def test_signals_under_load_end_it_well(tmp_path, probe, signals):
+    # At full size and with little room, so that it is busy and drops images when it is stopped.
+    with NodeProcess(tmp_path / "output", "-r", "__ns:=/loaded", "-p", "queue_size:=2") as process:
+        labels = probe.listen("/loaded/turbseg/labels", Image)
+        camera = Camera(probe, "/loaded/image_raw", pause=0.01)
+        stamps = camera.play(moving_square(60, (480, 640)))
+        probe.wait_for(lambda: "the oldest are dropped" in process.output, "images to be dropped")
+        assert process.stop(*signals) == 0
+        probe.spin(0.2)
+    assert "Traceback" not in process.output
+    answered = stamps_of(labels)
+    assert answered == sorted(set(answered) & set(stamps))
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.5])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signals_while_it_starts_end_it_well(tmp_path, probe, number, delay):
+    with NodeProcess(tmp_path / "output") as process:
+        # Before its first line Python itself answers signals.
+        probe.wait_for(lambda: process.blocks(number), "the node's first line")
+        probe.spin(delay)
+        assert process.stop(number) == 0
+    assert process.output == ""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (("-p", "flow.interval:=99"), "parameter flow.interval lies between 1 and 16, not at 99"),
+        (("-p", "image_transport:=avi"), "parameter image_transport is one of raw, compressed"),
+        (("--params-file", "missing.yaml"), "missing.yaml"),
+        (("--nonsense",), "--nonsense"),
+    ],
+)
+def test_what_is_refused_at_start_is_said_in_one_line(tmp_path, arguments, reason):
+    with NodeProcess(tmp_path / "output", *arguments) as process:
+        assert process.wait() == 2
+    (line,) = [line for line in process.output.splitlines() if "[rcl]" not in line]
+    assert line.startswith("turbseg_node: ")
+    assert reason in line
+
+
+def test_an_unknown_parameter_is_warned_about(tmp_path, probe):
+    with NodeProcess(tmp_path / "output", "-p", "flow.intervl:=3") as process:
+        probe.wait_for(lambda: process.output, "a warning")
+        assert "unknown parameter flow.intervl; did you mean flow.interval?" in process.output
+        assert process.stop(signal.SIGINT) == 0

@@ -1,0 +1,77 @@
+"""`turbseg_node`: the live node as a process."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import signal
+import sys
+import threading
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from turbseg_ros.cli.errors import UsageError, executable
+
+if TYPE_CHECKING:
+    from rclpy.executors import Executor
+
+_STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+@executable("turbseg_node")
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the node until SIGINT or SIGTERM, which end it well; give the exit status."""
+    # From here on these signals only wake the thread that waits for them, wherever the process
+    # is: importing rclpy, starting, working or ending. A second Ctrl-C changes nothing.
+    signal.pthread_sigmask(signal.SIG_BLOCK, _STOP_SIGNALS)
+
+    import rclpy
+    from rclpy.signals import SignalHandlerOptions
+    from rclpy.utilities import remove_ros_args
+
+    command = sys.argv if arguments is None else [sys.argv[0], *arguments]
+    try:
+        _check_arguments(remove_ros_args(command)[1:])
+        rclpy.init(args=command, signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:
+        raise UsageError(str(error)) from error
+    try:
+        _run()
+    finally:
+        rclpy.try_shutdown()
+    return 0
+
+
+def _check_arguments(arguments: Sequence[str]) -> None:
+    """Answer --help and refuse whatever else is left when ROS has taken its own."""
+    argparse.ArgumentParser(
+        prog="turbseg_node",
+        description="Segment what really moves before a camera, live.",
+        epilog="ROS arguments follow --ros-args: -r image_raw:=TOPIC, -p NAME:=VALUE, "
+        "--params-file FILE, -r __ns:=/NAMESPACE.",
+    ).parse_args(arguments)
+
+
+def _run() -> None:
+    from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+
+    from turbseg_ros.ros.node import TurbsegNode
+
+    node = TurbsegNode()
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    threading.Thread(target=_shut_down_on_signal, args=(executor,), daemon=True).start()
+    try:
+        with contextlib.suppress(ExternalShutdownException):
+            executor.spin()
+    finally:
+        node.destroy_node()
+
+
+def _shut_down_on_signal(executor: Executor) -> None:
+    signal.sigwait(_STOP_SIGNALS)
+    executor.create_task(executor.shutdown)
+
+
+if __name__ == "__main__":
+    sys.exit(main(None))

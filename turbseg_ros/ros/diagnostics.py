@@ -1,0 +1,181 @@
+"""What the node tells of itself on /diagnostics."""
+
+from __future__ import annotations
+
+import enum
+import math
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+
+from turbseg_ros.segmentation.frame import SegmentationResult
+
+
+class Event(enum.Enum):
+    """What may happen to an image."""
+
+    RECEIVED = "received"
+    ANSWERED = "answered"
+    DROPPED = "dropped"
+    LOST = "lost by the middleware"
+    SKIPPED = "skipped"
+    FAILED = "failed"
+
+
+@dataclass(frozen=True)
+class Report:
+    """What happened in a period; times in seconds.
+
+    `events` counts the period, `totals` the whole run. The latencies are of the frames answered
+    in the period. `silence` is the time since the last image, or since the start while there was
+    none. `last` is the newest result, None while there is none.
+    """
+
+    period: float
+    events: Counter[Event]
+    totals: Counter[Event]
+    latency_from_stamp: Sequence[float]
+    latency_from_arrival: Sequence[float]
+    silence: float
+    last: SegmentationResult | None
+
+    def rate(self, event: Event) -> float:
+        """How often something happened, in Hz."""
+        return self.events[event] / self.period
+
+
+class Statistics:
+    """Counts what happens to images; any thread may tell it or ask."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._totals: Counter[Event] = Counter()
+        self._last: SegmentationResult | None = None
+        self._last_image = clock()
+        self._begin_period()
+
+    def count(self, event: Event, times: int = 1) -> None:
+        """Note that something happened to `times` images."""
+        with self._lock:
+            self._count(event, times)
+
+    def answered(
+        self, result: SegmentationResult, *, since_stamp: float, since_arrival: float
+    ) -> None:
+        """Note a published result and how long, in seconds, its frame took."""
+        with self._lock:
+            self._count(Event.ANSWERED, 1)
+            self._last = result
+            self._from_stamp.append(since_stamp)
+            self._from_arrival.append(since_arrival)
+
+    def take(self) -> Report:
+        """Give what happened since the last time, and begin a new period."""
+        with self._lock:
+            now = self._clock()
+            report = Report(
+                period=max(now - self._began, 1e-9),
+                events=self._events,
+                totals=Counter(self._totals),
+                latency_from_stamp=self._from_stamp,
+                latency_from_arrival=self._from_arrival,
+                silence=now - self._last_image,
+                last=self._last,
+            )
+            self._begin_period()
+        return report
+
+    def _count(self, event: Event, times: int) -> None:
+        self._events[event] += times
+        self._totals[event] += times
+        if event is Event.RECEIVED:
+            self._last_image = self._clock()
+
+    def _begin_period(self) -> None:
+        self._began = self._clock()
+        self._events: Counter[Event] = Counter()
+        self._from_stamp: list[float] = []
+        self._from_arrival: list[float] = []
+
+
+@dataclass(frozen=True)
+class NodeState:
+    """How the node stands.
+
+    `publishers` and `reliability` are those of its image topic. `patience` is the silence, in
+    seconds, after which the input counts as stale; `min_rate`, in Hz, is what it has to reach.
+    `look_ahead` is the number of frames that have to follow one before it is answered.
+    """
+
+    topic: str
+    enabled: bool
+    publishers: int
+    reliability: str
+    patience: float
+    min_rate: float
+    latency_mode: str
+    look_ahead: int
+
+
+def status_message(name: str, report: Report, state: NodeState) -> DiagnosticStatus:
+    """Give the status of a node called `name`: a level, the reasons for it, and figures."""
+    findings = list(_findings(report, state))
+    level = max((level for level, _ in findings), default=DiagnosticStatus.OK)
+    return DiagnosticStatus(
+        level=level,
+        name=f"{name}: segmentation",
+        message="; ".join(text for _, text in findings) or "segmenting",
+        hardware_id=report.last.frame.frame_id if report.last else "",
+        values=[KeyValue(key=key, value=value) for key, value in _figures(report, state)],
+    )
+
+
+def _findings(report: Report, state: NodeState) -> Iterator[tuple[bytes, str]]:
+    ok, warn, error = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+    if not state.enabled:
+        yield ok, "disabled"
+        return
+    if not report.totals[Event.RECEIVED]:
+        yield warn, f"no image yet on {state.topic} ({state.publishers} publishers)"
+        return
+    if report.silence > state.patience:
+        yield error, f"no image on {state.topic} for {report.silence:.1f} s"
+    elif report.rate(Event.RECEIVED) < state.min_rate:
+        yield warn, f"input below {state.min_rate:g} Hz"
+    for event, level in (
+        (Event.FAILED, error),
+        (Event.DROPPED, warn),
+        (Event.LOST, warn),
+        (Event.SKIPPED, warn),
+    ):
+        if report.events[event]:
+            yield level, f"{report.events[event]} images {event.value}"
+
+
+def _figures(report: Report, state: NodeState) -> Iterator[tuple[str, str]]:
+    yield "input topic", state.topic
+    yield "input publishers", str(state.publishers)
+    yield "input reliability", state.reliability
+    yield "input rate (Hz)", f"{report.rate(Event.RECEIVED):.1f}"
+    yield "output rate (Hz)", f"{report.rate(Event.ANSWERED):.1f}"
+    for origin, latencies in (
+        ("stamp", report.latency_from_stamp),
+        ("arrival", report.latency_from_arrival),
+    ):
+        for percentile in (50, 95):
+            value = np.percentile(latencies, percentile) if latencies else math.nan
+            yield f"latency from {origin} p{percentile} (ms)", f"{1000 * value:.1f}"
+    yield "latency mode", state.latency_mode
+    yield "look-ahead (frames)", str(state.look_ahead)
+    for event in Event:
+        yield f"images {event.value}", str(report.totals[event])
+    if report.last:
+        yield "turbulence (px)", f"{report.last.tilt:.2f}"
+        yield "ego-motion model", report.last.ego_motion_model
+        yield "objects", str(len(report.last.objects))

@@ -1,0 +1,167 @@
+"""The live node: images in, masks, markers and diagnostics out."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.clock import Clock, ClockType, JumpThreshold, TimeJump
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+from std_srvs.srv import SetBool, Trigger
+
+from turbseg_ros.parameters import Parameters
+from turbseg_ros.ros.diagnostics import Event, NodeState, Statistics, status_message
+from turbseg_ros.ros.image_conversion import image_from_message, stamp_to_ns
+from turbseg_ros.ros.messages import VIEWS, CentroidMarkers, UnitDepthPlane, outputs
+from turbseg_ros.ros.parameters import ParameterHandler
+from turbseg_ros.ros.publishers import ResultPublisher
+from turbseg_ros.ros.subscription import MatchingSubscription
+from turbseg_ros.ros.worker import SegmentationWorker
+from turbseg_ros.segmentation.frame import Frame
+from turbseg_ros.segmentation.pipeline import MotionSegmenter
+
+_DIAGNOSTICS_PERIOD = 1.0
+# Messages that may wait in the middleware. There nobody counts what a full queue drops, so a short
+# stall of this process must not fill it.
+_LEAST_DEPTH = 10
+# A clock that is set back by less is being adjusted; by more, a bag begins again.
+_CLOCK_JUMP = JumpThreshold(
+    min_forward=None, min_backward=Duration(seconds=-0.1), on_clock_change=False
+)
+
+
+class TurbsegNode(Node):  # type: ignore[misc]  # rclpy is read as untyped
+    """Segments what really moves before a camera that looks through turbulent air.
+
+    Subscribes to `image_raw` and, if there is one, `camera_info`; publishes results below its
+    own name and `/diagnostics`; serves `~/reset` and `~/enable`. Callbacks only take note: images
+    are segmented in a thread of their own, which `destroy_node` ends.
+
+    :raises ParameterError: when a parameter that it was started with is refused.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("turbseg", automatically_declare_parameters_from_overrides=True)
+        self._parameter_handler = ParameterHandler(self, on_change=self._on_parameters)
+        parameters = self._parameter_handler.current
+
+        self._statistics = Statistics()
+        self._markers = CentroidMarkers()
+        self._results = ResultPublisher(
+            self, (*outputs(parameters.max_objects, self._markers), *VIEWS)
+        )
+        self._segmenter = MotionSegmenter(parameters)
+        self._worker = SegmentationWorker(
+            self._segmenter,
+            convert=frame_from_message,
+            publish=self._results.publish,
+            now=lambda: self.get_clock().now().nanoseconds,
+            statistics=self._statistics,
+            logger=self.get_logger(),
+            queue_size=parameters.queue_size,
+        )
+        self._images: MatchingSubscription | None = self._subscribe()
+        self.create_subscription(
+            CameraInfo, "camera_info", self._on_camera_info, qos_profile_sensor_data
+        )
+        self.create_service(Trigger, "~/reset", self._on_reset)
+        self.create_service(SetBool, "~/enable", self._on_enable)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self.create_timer(
+            _DIAGNOSTICS_PERIOD,
+            self._on_timer,
+            clock=Clock(clock_type=ClockType.STEADY_TIME),
+        )
+        self._clock_jumps = self.get_clock().create_jump_callback(
+            _CLOCK_JUMP, post_callback=self._on_clock_jump
+        )
+        self._worker.start()
+
+    def destroy_node(self) -> None:
+        """Answer the frames at hand, then take the node out of the graph."""
+        self._worker.stop()
+        super().destroy_node()
+
+    def _subscribe(self) -> MatchingSubscription:
+        parameters = self._parameter_handler.current
+        message_type: type[Any] = Image
+        # Resolved first, so that remapping image_raw moves the compressed topic along.
+        topic = self.resolve_topic_name("image_raw")
+        if parameters.image_transport == "compressed":
+            message_type, topic = CompressedImage, f"{topic}/compressed"
+        return MatchingSubscription(
+            self,
+            message_type,
+            topic,
+            self._worker.submit,
+            depth=max(parameters.queue_size, _LEAST_DEPTH),
+            reliability=parameters.qos.reliability,
+            on_lost=lambda count: self._statistics.count(Event.LOST, count),
+        )
+
+    def _on_parameters(self, before: Parameters, after: Parameters) -> None:
+        # What only the node itself reads leaves the window as it is.
+        if dataclasses.replace(after, diagnostics=before.diagnostics) != before:
+            self._worker.reconfigure(after)
+
+    def _on_camera_info(self, camera_info: CameraInfo) -> None:
+        try:
+            self._markers.plane = UnitDepthPlane.from_camera_info(camera_info)
+        except ValueError as error:
+            self.get_logger().warning(f"markers stay in pixels: {error}", once=True)
+
+    def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._worker.restart("reset was called")
+        response.success = True
+        response.message = "the window and all tracks are cleared"
+        return response
+
+    def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        if request.data and self._images is None:
+            self._images = self._subscribe()
+        elif not request.data and self._images is not None:
+            # Nothing is left to receive, so a disabled node costs no network either.
+            self._images.destroy()
+            self._images = None
+        response.success = True
+        response.message = "enabled" if request.data else "disabled"
+        return response
+
+    def _on_clock_jump(self, jump: TimeJump) -> None:
+        self._worker.restart(f"the clock jumped by {jump.delta.nanoseconds / 1e9:.3f} s")
+
+    def _on_timer(self) -> None:
+        if self._images is not None:
+            self._images.match()
+        message = DiagnosticArray()
+        message.header.stamp = self.get_clock().now().to_msg()
+        message.status = [
+            status_message(self.get_fully_qualified_name(), self._statistics.take(), self._state())
+        ]
+        self._diagnostics.publish(message)
+
+    def _state(self) -> NodeState:
+        images, parameters = self._images, self._parameter_handler.current
+        return NodeState(
+            topic=images.topic if images else "",
+            enabled=images is not None,
+            publishers=images.publisher_count if images else 0,
+            reliability=images.reliability.name.lower() if images else "",
+            patience=self._worker.patience,
+            min_rate=parameters.diagnostics.min_rate,
+            latency_mode=parameters.latency.mode,
+            look_ahead=self._segmenter.look_ahead,
+        )
+
+
+def frame_from_message(message: Image | CompressedImage) -> Frame:
+    """Give the frame of an image message.
+
+    :raises ImageConversionError: when it holds no image that can be read.
+    """
+    header = message.header
+    return Frame(stamp_to_ns(header.stamp), image_from_message(message), header.frame_id)
