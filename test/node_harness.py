@@ -85,10 +85,10 @@ class Probe:
     """A ROS node in the test's own process and thread, spun while it waits."""
 
     def __init__(self, namespace: str = "") -> None:
-        self._context = Context()
-        self._context.init()
-        self.node = Node("probe", context=self._context, namespace=namespace)
-        self._executor = SingleThreadedExecutor(context=self._context)
+        self.context = Context()
+        self.context.init()
+        self.node = Node("probe", context=self.context, namespace=namespace)
+        self._executor = SingleThreadedExecutor(context=self.context)
         self._executor.add_node(self.node)
         self._subscriptions: list[Subscription] = []
         self._publishers: list[Publisher] = []
@@ -98,6 +98,10 @@ class Probe:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    def add_node(self, node: Node) -> None:
+        """Spin another node, too."""
+        self._executor.add_node(node)
 
     def forget(self) -> None:
         """Take back all that was subscribed to or published."""
@@ -111,7 +115,7 @@ class Probe:
         """Leave the graph."""
         self._executor.shutdown()
         self.node.destroy_node()
-        self._context.try_shutdown()
+        self.context.try_shutdown()
 
     def spin(self, seconds: float) -> None:
         """Let messages come for a while."""
@@ -136,12 +140,17 @@ class Probe:
         return messages
 
     def advertise(
-        self, topic: str, message_type: type[Any], qos: QoSProfile = RELIABLE
+        self,
+        topic: str,
+        message_type: type[Any],
+        qos: QoSProfile = RELIABLE,
+        heard: bool = True,
     ) -> Publisher:
-        """Give a publisher that is heard."""
+        """Give a publisher, once it is heard."""
         publisher = self.node.create_publisher(message_type, topic, qos)
         self._publishers.append(publisher)
-        self.wait_for(publisher.get_subscription_count, f"a subscription to {topic}")
+        if heard:
+            self.wait_for(publisher.get_subscription_count, f"a subscription to {topic}")
         return publisher
 
     def withdraw(self, publisher: Publisher) -> None:

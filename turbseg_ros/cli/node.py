@@ -22,7 +22,8 @@ _STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the node until SIGINT or SIGTERM, which end it well; give the exit status."""
     # From here on these signals only wake the thread that waits for them, wherever the process
-    # is: importing rclpy, starting, working or ending. A second Ctrl-C changes nothing.
+    # is: importing rclpy, starting, working or ending. A second Ctrl-C changes nothing. Threads
+    # started from here on inherit this, which is why NumPy is not imported any earlier.
     signal.pthread_sigmask(signal.SIG_BLOCK, _STOP_SIGNALS)
 
     import rclpy

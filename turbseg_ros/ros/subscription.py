@@ -11,6 +11,8 @@ from rclpy.qos import QoSPolicyKind, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 
+from turbseg_ros.parameters import ParameterError
+
 _FORCED = {
     "reliable": ReliabilityPolicy.RELIABLE,
     "best_effort": ReliabilityPolicy.BEST_EFFORT,
@@ -35,6 +37,8 @@ class MatchingSubscription:
     `reliability` is `auto` to match, or `reliable` or `best_effort` to force. ROS' own QoS
     overrides (``qos_overrides.<topic>.subscription.*``) go before both. `on_lost` is told how
     many messages never came, where the middleware numbers them (Fast DDS does).
+
+    :raises ParameterError: when ROS refuses the QoS overrides.
     """
 
     def __init__(
@@ -93,16 +97,23 @@ class MatchingSubscription:
         return strictest_reliability(publisher.qos_profile for publisher in publishers)
 
     def _subscribe(self, reliability: ReliabilityPolicy) -> Subscription:
-        return self._node.create_subscription(
-            self._message_type,
-            self.topic,
-            self._receive,
-            QoSProfile(depth=self._depth, reliability=reliability),
-            qos_overriding_options=self._overriding_options(),
-            event_callbacks=SubscriptionEventCallbacks(
-                incompatible_qos=self._warn_of_incompatible_qos
-            ),
-        )
+        try:
+            return self._node.create_subscription(
+                self._message_type,
+                self.topic,
+                self._receive,
+                QoSProfile(depth=self._depth, reliability=reliability),
+                qos_overriding_options=self._overriding_options(),
+                event_callbacks=SubscriptionEventCallbacks(
+                    incompatible_qos=self._warn_of_incompatible_qos
+                ),
+            )
+        except (RuntimeError, AssertionError) as error:
+            # What rclpy raises for an override that is no such policy or of the wrong type.
+            reason = str(error) or "a value of the wrong type"
+            raise ParameterError(
+                f"parameters qos_overrides.{self.topic}.subscription.* are refused: {reason}"
+            ) from error
 
     def _overriding_options(self) -> QoSOverridingOptions:
         if self._overridden:
