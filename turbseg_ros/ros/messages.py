@@ -27,6 +27,9 @@ from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResu
 _ARROW_FRAMES = 10.0
 # Outlines for viewers are let off corners that stand out less than this, in pixels.
 _OUTLINE_TOLERANCE = 0.5
+# Subscribers learn that they missed a message after some amount of data (images: at once), or by
+# Fast DDS' heartbeat every three seconds. Small messages have to be kept for so long at 30 Hz.
+_SMALL_DEPTH = 100
 
 
 def header_of(frame: Frame) -> Header:
@@ -247,12 +250,14 @@ class Output:
     """One topic of results: its name below the node's, its type and how a message is built.
 
     What is `on_demand` costs much for what it is mostly used for: build it while someone listens.
+    `depth` is how many messages a publisher keeps for subscribers that missed one.
     """
 
     name: str
     type: type[Any]
     build: Callable[[SegmentationResult], Any]
     on_demand: bool = False
+    depth: int = 10
 
 
 def outputs(max_objects: int, markers: CentroidMarkers) -> tuple[Output, ...]:
@@ -260,8 +265,8 @@ def outputs(max_objects: int, markers: CentroidMarkers) -> tuple[Output, ...]:
     return (
         Output("labels", Image, labels_message),
         Output("mask", Image, mask_message),
-        Output("centroids", MarkerArray, markers.message),
-        Output("annotations", ImageMarker, annotations_message),
+        Output("centroids", MarkerArray, markers.message, depth=_SMALL_DEPTH),
+        Output("annotations", ImageMarker, annotations_message, depth=_SMALL_DEPTH),
         *map(slot_output, range(max_objects)),
     )
 

@@ -1,0 +1,102 @@
+"""Processes that a command starts and leaves none of behind."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType, TracebackType
+
+from turbseg_ros.cli.errors import Interrupted
+
+_STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+# Seconds that a process gets to end by itself.
+_STOP_LIMIT = 10.0
+
+
+class ProcessError(Exception):
+    """A process that ended too early or badly; the text is one line with its last words."""
+
+
+class SignalWatch:
+    """Takes note of signals that ask to stop, so that they interrupt nothing halfway.
+
+    To be used in a `with` statement, within which `check` is called now and then.
+    """
+
+    def __init__(self) -> None:
+        self._received: int | None = None
+
+    def __enter__(self) -> SignalWatch:
+        self._before = {number: signal.signal(number, self._note) for number in _STOP_SIGNALS}
+        return self
+
+    def __exit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def check(self) -> None:
+        """Go on unless a signal came.
+
+        :raises Interrupted: when one came.
+        """
+        if self._received is not None:
+            raise Interrupted(128 + self._received)
+
+    def _note(self, number: int, frame: FrameType | None) -> None:
+        self._received = number
+
+
+@dataclass(frozen=True)
+class PythonProcess:
+    """A Python module that runs as a process of its own; what it prints goes to `log`."""
+
+    module: str
+    process: subprocess.Popen[bytes]
+    log: Path
+
+    def check(self) -> None:
+        """Go on while the process runs or has ended well.
+
+        :raises ProcessError: when it ended badly.
+        """
+        status = self.process.poll()
+        if status:
+            printed = self.log.read_text(errors="replace").splitlines()
+            last = next((line for line in reversed(printed) if line.strip()), "it printed nothing")
+            raise ProcessError(f"{self.module} ended with status {status}: {last}")
+
+
+@contextlib.contextmanager
+def python_process(module: str, arguments: Sequence[str], log: Path) -> Iterator[PythonProcess]:
+    """Run `python -m module arguments` for the time of a `with` statement.
+
+    At its end the process gets SIGINT and, when that doesn't help, SIGKILL. It has a session of
+    its own, so that a terminal's Ctrl-C reaches it by this way only. Use it under a SignalWatch:
+    an exception while the process is being started would leave it behind.
+    """
+    with log.open("wb") as output:
+        process = subprocess.Popen(
+            [sys.executable, "-m", module, *arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+        )
+    try:
+        yield PythonProcess(module, process, log)
+    finally:
+        for number in (signal.SIGINT, signal.SIGKILL):
+            if process.poll() is None:
+                process.send_signal(number)
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    process.wait(_STOP_LIMIT)
