@@ -38,7 +38,7 @@ _ENCODINGS = {
 
 
 @executable("turbseg_simulate")
-def main(arguments: Sequence[str] | None) -> int:
+def main(arguments: Sequence[str] | None = None) -> int:
     """Run the executable; give its exit status."""
     options = _parser().parse_args(arguments)
     if options.list:
@@ -186,4 +186,4 @@ def _parser() -> argparse.ArgumentParser:
 
 
 if __name__ == "__main__":
-    sys.exit(main(None))
+    sys.exit(main())

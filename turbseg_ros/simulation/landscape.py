@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Protocol
 
 import cv2
@@ -93,7 +94,7 @@ THERMAL = Palette(
     metal=(0.25,) * 3,
     water=(0.22,) * 3,
     shadow=0.88,
-    relief=0.35,
+    relief=0.5,
 )
 
 
@@ -113,7 +114,7 @@ class Backdrop:
     animations: Sequence[Animation] = ()
 
     def at(self, frame: int) -> Field:
-        """The painting at a frame, float32 HxWx3."""
+        """Give the painting at a frame, float32 HxWx3."""
         if not self.animations:
             return self.painting
         painting = self.painting.copy()
@@ -130,12 +131,11 @@ class Brush:
     palette: Palette
     rng: np.random.Generator
     canvas: Field = field(init=False)
-    coverage: Field = field(init=False)
+    """Blue, green, red and coverage."""
 
     def __post_init__(self) -> None:
         height, width = (length * _SUPERSAMPLING for length in self.extent.shape)
-        self.canvas = np.zeros((height, width, 3), np.float32)
-        self.coverage = np.zeros((height, width), np.float32)
+        self.canvas = np.zeros((height, width, 4), np.float32)
         self._noise = fractal_noise((_TILE, _TILE), self.rng)
 
     @property
@@ -170,11 +170,10 @@ class Brush:
         grain: float = 0.0,
         stretch: tuple[float, float] = (1.0, 1.0),
     ) -> None:
-        """A polygon; `grain` is the rms of its texture's relative brightness."""
+        """Paint a polygon; `grain` is the rms of its texture's relative brightness."""
         fixed = self._fixed(points)
         if grain == 0:
-            cv2.fillPoly(self.canvas, [fixed], colour, shift=4)
-            cv2.fillPoly(self.coverage, [fixed], (1.0,), shift=4)
+            cv2.fillPoly(self.canvas, [fixed], (*colour, 1.0), shift=4)
             return
         x, y, width, height = cv2.boundingRect(fixed >> 4)
         x0, y0 = max(x, 0), max(y, 0)
@@ -186,19 +185,19 @@ class Brush:
         texture = 1 + grain * self.palette.relief * self._texture(mask.shape, stretch)
         inside = mask > 0
         region = self.canvas[y0:y1, x0:x1]
-        region[inside] = (texture[..., None] * np.float32(colour))[inside]
-        self.coverage[y0:y1, x0:x1][inside] = 1.0
+        region[inside, :3] = texture[inside, None] * np.array(colour, np.float32)
+        region[inside, 3] = 1.0
 
     def rectangle(
         self, x0: float, y0: float, x1: float, y1: float, colour: Colour, grain: float = 0.0,
         stretch: tuple[float, float] = (1.0, 1.0),
     ) -> None:  # fmt: skip
-        """An upright rectangle."""
+        """Paint an upright rectangle."""
         self.fill(((x0, y0), (x1, y0), (x1, y1), (x0, y1)), colour, grain, stretch)
 
     def line(self, points: Sequence[Point], width: float, colour: Colour) -> None:
-        """A line of the given width (a share of the view's height) through points."""
-        for (x0, y0), (x1, y1) in zip(points[:-1], points[1:], strict=True):
+        """Paint a line of the given width (a share of the view's height) through points."""
+        for (x0, y0), (x1, y1) in pairwise(points):
             length = math.hypot(x1 - x0, y1 - y0)
             nx, ny = -(y1 - y0) / length * width / 2, (x1 - x0) / length * width / 2
             self.fill(
@@ -206,38 +205,37 @@ class Brush:
                 colour,
             )
 
-    def shade(self, points: Sequence[Point]) -> None:
-        """A shadow that lets the ground show."""
-        mask = np.zeros(self.canvas.shape[:2], np.float32)
-        cv2.fillPoly(mask, [self._fixed(points)], (1.0,), shift=4)
-        mask = cv2.GaussianBlur(mask, (0, 0), _SUPERSAMPLING)
-        self.canvas *= 1 - (1 - self.palette.shadow) * mask[..., None]
-
     def foliage(self, x: float, y: float, rx: float, ry: float, colour: Colour) -> None:
-        """A bush or crown around (x, y): clumps of leaves, lit from the upper left."""
+        """Paint a bush or crown around (x, y): clumps of leaves, lit from the upper left."""
         pixel = self.unit * _SUPERSAMPLING
-        clump = max(0.1 * min(rx, ry), 1.2 / pixel)
-        count = int(min(4 * rx * ry / clump**2, 900)) + 12
+        clump = max(min(0.09 * min(rx, ry), 0.008), 1.2 / pixel)
+        count = int(min(2.5 * rx * ry / clump**2, 1500)) + 12
         angle = self.rng.uniform(0, 2 * math.pi, count)
         radius = np.sqrt(self.rng.uniform(0, 1, count))
         lumpy = 1 + 0.14 * np.sin(3 * angle + self.rng.uniform(0, 6)) + 0.1 * np.sin(7 * angle)
         dx, dy = radius * lumpy * np.cos(angle), radius * lumpy * np.sin(angle)
-        light = 0.93 - 0.16 * dx - 0.34 * dy + 0.17 * self.rng.standard_normal(count)
+        boughs = np.sin(5 * dx + self.rng.uniform(0, 6)) * np.sin(6 * dy + self.rng.uniform(0, 6))
+        light = 0.93 - 0.16 * dx - 0.32 * dy + 0.14 * boughs
+        light += 0.15 * self.rng.standard_normal(count)
         light = 1 + (light - 1) * (0.3 + 0.7 * self.palette.relief)
         hue = 1 + 0.06 * self.palette.relief * self.rng.standard_normal((count, 3))
-        order = np.argsort(light + 0.35 * self.rng.standard_normal(count))
-        for index in order:
-            centre = self._fixed([(x + rx * float(dx[index]), y + ry * float(dy[index]))])[0]
-            size = clump * pixel * float(self.rng.uniform(0.55, 1.35))
-            axes = (int(size * 16), int(0.7 * size * 16))
-            tint = np.clip(np.array(colour) * light[index] * hue[index], 0, 1)
-            turn = float(self.rng.uniform(0, 180))
-            at = (int(centre[0]), int(centre[1]))
-            cv2.ellipse(self.canvas, at, axes, turn, 0, 360, tint.tolist(), -1, shift=4)
-            cv2.ellipse(self.coverage, at, axes, turn, 0, 360, (1.0,), -1, shift=4)
+        tints = np.clip(np.array(colour) * light[:, None] * hue, 0, 1)
+        sizes = clump * pixel * 16 * self.rng.uniform(0.55, 1.35, count)
+        leaves = list(
+            zip(
+                self._fixed(np.column_stack((x + rx * dx, y + ry * dy))).tolist(),
+                np.column_stack((sizes, 0.7 * sizes)).astype(int).tolist(),
+                self.rng.uniform(0, 180, count).tolist(),
+                tints.tolist(),
+                strict=True,
+            )
+        )
+        for index in np.argsort(light + 0.35 * self.rng.standard_normal(count)):
+            at, axes, turn, tint = leaves[index]
+            cv2.ellipse(self.canvas, at, axes, turn, 0, 360, (*tint, 1.0), -1, shift=4)
 
     def tree(self, x: float, ground: float, height: float, colour: Colour) -> None:
-        """A tree whose trunk stands at (x, ground)."""
+        """Paint a tree whose trunk stands at (x, ground)."""
         top = ground - height
         self.line([(x, ground), (x, top + 0.4 * height)], 0.05 * height, self.palette.wood)
         for _ in range(4):
@@ -247,41 +245,60 @@ class Brush:
             self.foliage(x + offset, level, spread, 0.8 * spread, colour)
 
     def park(self, kind: str, x: float, ground: float, size: float, paint: Colour) -> None:
-        """A vehicle that stands still, part of the landscape."""
+        """Paint a vehicle that stands still, part of the landscape."""
         thermal = self.palette is not DAYLIGHT
         parked = SceneObject(0, kind, size * self.unit * _SUPERSAMPLING, Path(((0, 0, 0),)), paint)
         pixel = self._fixed([(x, ground)])[0] / 16
         sprite = Sprite(parked, thermal, self.rng)
         pose = Pose(float(pixel[0]), float(pixel[1]), mirrored=bool(self.rng.random() < 0.5))
         placed = sprite.place(0.0, pose, np.eye(2, 3))
-        placed.lay_over(self.canvas)
+        placed.lay_over(self.canvas[..., :3])
+
+    def weather(self, horizon: float) -> None:
+        """Mottle everything below the horizon: dust, stains and uneven light."""
+        y = max((self._row(horizon)) * _SUPERSAMPLING, 0)
+        ground = self.canvas[y:, :, :3]
+        mottle = self._texture(ground.shape[:2], (1.5, 1.0))
+        ground *= 1 + 0.045 * self.palette.relief * mottle[..., None]
+
+    def pebbles(self, upper: float, lower: float, number: int, colour: Colour) -> None:
+        """Strew stones, tufts and litter: small hard specks, larger when nearer."""
+        for nearness in np.sort(self.rng.random(number)):
+            x = float(self.rng.uniform(self.left, self.right))
+            y = upper + float(nearness) * (lower - upper)
+            size = float(self.rng.uniform(0.001, 0.0015 + 0.003 * nearness))
+            contrast = float(self.rng.choice((0.6, 0.78, 1.25)))
+            b, g, r = (min(c * (1 + (contrast - 1) * self.palette.relief), 1) for c in colour)
+            self.rectangle(x, y, x + 1.8 * size, y + size, (b, g, r))
 
     def haze(self, levels: Sequence[tuple[float, float]], airlight: Colour) -> None:
-        """Air light over the picture; `levels` are (share of height, opacity), top to bottom."""
-        rows = (
-            np.arange(self.canvas.shape[0]) / _SUPERSAMPLING - self.extent.margin_y
-        ) / self.unit
+        """Lay air light over the picture; `levels` are (share of height, opacity) downwards."""
+        pixels = np.arange(self.canvas.shape[0]) / _SUPERSAMPLING - self.extent.margin_y
+        rows = pixels / self.unit
         opacity = np.interp(rows, [y for y, _ in levels], [o for _, o in levels])
         veil = opacity.astype(np.float32)[:, None, None]
-        self.canvas += veil * (np.float32(airlight) - self.canvas)
+        colours = self.canvas[..., :3]
+        colours += veil * (np.array(airlight, np.float32) - colours)
 
     def region(self, x0: float, y0: float, x1: float, y1: float) -> tuple[slice, slice]:
-        """Rows and columns of the finished painting that a rectangle covers."""
+        """Give the rows and columns of the finished painting that a rectangle covers."""
         columns = [self._column(x) for x in (x0, x1)]
         rows = [self._row(y) for y in (y0, y1)]
         return slice(*rows), slice(*columns)
 
     def finish(self) -> Field:
-        """The painting at scene resolution, float32 HxWx3, values 0 to 1."""
-        return np.clip(self._reduce(self.canvas), 0, 1)
+        """Give the painting at scene resolution, float32 HxWx3, values 0 to 1."""
+        return np.ascontiguousarray(self._reduced()[..., :3])
 
     def finish_layer(self) -> Layer:
-        """What was painted, with its coverage, premultiplied."""
-        return Layer(np.clip(self._reduce(self.canvas), 0, 1), self._reduce(self.coverage))
+        """Give what was painted, with its coverage, premultiplied."""
+        reduced = self._reduced()
+        return Layer(np.ascontiguousarray(reduced[..., :3]), reduced[..., 3].copy())
 
-    def _reduce(self, plane: Field) -> Field:
+    def _reduced(self) -> Field:
         height, width = self.extent.shape
-        return cv2.resize(plane, (width, height), interpolation=cv2.INTER_AREA)
+        reduced = cv2.resize(self.canvas, (width, height), interpolation=cv2.INTER_AREA)
+        return np.clip(reduced, 0, 1)
 
     def _texture(self, shape: tuple[int, ...], stretch: tuple[float, float]) -> Field:
         height, width = shape
@@ -298,8 +315,8 @@ class Brush:
         limit = self.extent.shape[0]
         return min(max(round(y * self.unit) + self.extent.margin_y, 0), limit)
 
-    def _fixed(self, points: Sequence[Point]) -> npt.NDArray[np.int32]:
-        """Canvas coordinates of scene points, in sixteenths of a pixel."""
+    def _fixed(self, points: Sequence[Point] | npt.NDArray[np.float64]) -> npt.NDArray[np.int32]:
+        """Give canvas coordinates of scene points, in sixteenths of a pixel."""
         scene = np.array(points, dtype=np.float64) * self.unit
         margin = np.array([self.extent.margin_x, self.extent.margin_y])
         canvas = (scene + margin + 0.5) * _SUPERSAMPLING - 0.5
@@ -363,7 +380,7 @@ class Water:
             map_x = np.mod(x / (1.8 * depth) + direction * 0.55 * frame, noise.shape[1] - 1)
             map_y = np.mod(y / (0.45 * depth) + 0.4 * frame, noise.shape[0] - 1)
             glitter += self.contrast * cv2.remap(noise, map_x, map_y, cv2.INTER_LINEAR)
-        region[:] = np.clip(glitter[..., None] * np.float32(self.colour), 0, 1)
+        region[:] = np.clip(glitter[..., None] * np.array(self.colour, np.float32), 0, 1)
 
 
 @dataclass(frozen=True)
@@ -386,8 +403,11 @@ class Flag:
         rows = np.arange(math.floor(self.y - self.height), math.ceil(self.y + 2 * self.height))
         down = (rows[:, None] - self.y - sag[None, :]) / self.height
         coverage = np.clip(np.minimum(down, 1 - down) * self.height + 0.5, 0, 1)
-        stripe = np.clip((down * len(self.stripes)).astype(int), 0, len(self.stripes) - 1)
-        cloth = np.array(self.stripes)[stripe] * light[None, :, None]
+        cloth = np.array(self.stripes[0]) * np.ones((*down.shape, 1))
+        for index, colour in enumerate(self.stripes[1:], start=1):
+            edge = (down - index / len(self.stripes)) * self.height
+            cloth += np.clip(edge + 0.5, 0, 1)[..., None] * (np.array(colour) - cloth)
+        cloth *= light[None, :, None]
         region = painting[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
         region += (coverage[..., None] * (cloth - region)).astype(np.float32)
 

@@ -18,10 +18,12 @@ from scipy.interpolate import PchipInterpolator
 Colour = tuple[float, float, float]
 """Blue, green, red, 0 to 1."""
 Points = tuple[tuple[float, float], ...]
+Matrix = npt.NDArray[np.float64]
 
-_SUPERSAMPLING = 4
-_SPRITE_MARGIN = 0.15
-"""Free border around a shape, in lengths."""
+_DRAWING_SIZE = 600
+"""Fine pixels along an object, within the limits of supersampling: OpenCV's polygons come out
+half a fine pixel too wide, which matters most to small objects."""
+_SUPERSAMPLING_LIMITS = (4, 12)
 
 
 @dataclass(frozen=True)
@@ -300,27 +302,28 @@ def _bird(phase: float, paint: Colour) -> list[Part]:
 class Kind:
     """A kind of object: how it is drawn and how it moves.
 
-    `cycle_frames` is how long one cycle of its gait, rotor or wings takes, `grounded` whether
-    it stands on the ground and throws a contact shadow, rather than pitching along its path.
+    `cycle_frames` is how long one cycle of its gait, rotor or wings takes. What stands on the
+    ground stays level and throws a contact shadow `footprint` lengths wide; what has none flies
+    and pitches along its path.
     """
 
     shape: Shape
     cycle_frames: float = 1.0
-    grounded: bool = True
+    footprint: float = 0.0
 
 
 KINDS: dict[str, Kind] = {
-    "sedan": Kind(_sedan),
-    "van": Kind(_van),
-    "pickup": Kind(_pickup),
-    "truck": Kind(_truck),
-    "bus": Kind(_bus),
-    "person": Kind(_person, cycle_frames=30),
-    "airliner": Kind(_airliner, grounded=False),
-    "light_aircraft": Kind(_light_aircraft, cycle_frames=2.7, grounded=False),
-    "helicopter": Kind(_helicopter, cycle_frames=2.3, grounded=False),
-    "drone": Kind(_drone, cycle_frames=1.7, grounded=False),
-    "bird": Kind(_bird, cycle_frames=9, grounded=False),
+    "sedan": Kind(_sedan, footprint=1.0),
+    "van": Kind(_van, footprint=1.0),
+    "pickup": Kind(_pickup, footprint=1.0),
+    "truck": Kind(_truck, footprint=1.0),
+    "bus": Kind(_bus, footprint=1.0),
+    "person": Kind(_person, cycle_frames=30, footprint=0.4),
+    "airliner": Kind(_airliner),
+    "light_aircraft": Kind(_light_aircraft, cycle_frames=2.7),
+    "helicopter": Kind(_helicopter, cycle_frames=2.3),
+    "drone": Kind(_drone, cycle_frames=1.7),
+    "bird": Kind(_bird, cycle_frames=9),
 }
 
 
@@ -336,7 +339,7 @@ class Path:
     waypoints: tuple[tuple[float, float, float], ...]
 
     def positions(self, frames: int) -> npt.NDArray[np.float64]:
-        """Positions at frames 0 to `frames` - 1, float64 Nx2; held beyond the ends."""
+        """Give the positions at frames 0 to `frames` - 1, float64 Nx2; held beyond the ends."""
         table = np.asarray(self.waypoints, dtype=np.float64)
         if len(table) == 1:
             return np.repeat(table[:, 1:], frames, axis=0)
@@ -363,14 +366,13 @@ class Layer:
     coverage: npt.NDArray[np.float32]
 
     def over(self, below: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-        """The layer laid over a picture of the same size."""
-        composite = self.colour + below * (1 - self.coverage[..., None])
-        return np.asarray(composite, dtype=np.float32)
+        """Give the layer laid over a picture of the same size."""
+        return self.colour + below * (1 - self.coverage[..., None])
 
 
 @dataclass(frozen=True)
 class Pose:
-    """Places a shape's frame in a picture: foot (x, y), heading in radians (image axes), mirror."""
+    """Where a shape stands: its foot (x, y), and pitch in radians, clockwise in the image."""
 
     x: float
     y: float
@@ -379,74 +381,67 @@ class Pose:
 
 
 class Sprite:
-    """One object, drawn at a fine scale whenever it is placed."""
+    """One object, ready to be drawn into pictures; `thermal` draws its warmth."""
 
     def __init__(self, scene_object: SceneObject, thermal: bool, rng: np.random.Generator) -> None:
         self._object = scene_object
         self._kind = KINDS[scene_object.kind]
         self._thermal = thermal
-        self._scale = scene_object.size * _SUPERSAMPLING
-        self._side = math.ceil(self._scale * (1 + 2 * _SPRITE_MARGIN)) + 2
-        self._texture = _paint_texture(self._side, rng)
+        lowest, highest = _SUPERSAMPLING_LIMITS
+        self._fineness = min(max(round(_DRAWING_SIZE / scene_object.size), lowest), highest)
+        self._texture = _paint_texture(rng)
 
-    def place(self, phase: float, pose: Pose, to_image: npt.NDArray[np.float64]) -> PlacedSprite:
-        """The sprite in image coordinates; `to_image` is the camera's 2x3 affine map."""
-        drawing = self._draw(self._kind.shape(phase, self._object.paint))
-        camera = np.vstack((to_image, [0, 0, 1]))
-        corners, matrix = self._geometry(drawing.coverage.shape, pose)
-        outline = (camera @ corners)[:2]
-        left, top = np.floor(outline.min(axis=1)).astype(int) - 1
-        right, bottom = np.ceil(outline.max(axis=1)).astype(int) + 2
+    def place(self, phase: float, pose: Pose, to_image: Matrix) -> PlacedSprite:
+        """Draw the sprite in image coordinates; `to_image` is the camera's 2x3 affine map."""
+        to_picture = np.vstack((to_image, [0, 0, 1])) @ self._to_scene(pose)
+        parts = self._kind.shape(phase, self._object.paint)
+        outlines = [_transformed(to_picture, part.points) for part in parts]
+        corners = np.concatenate(outlines)
+        left, top = np.floor(corners.min(axis=0)).astype(int) - 1
+        width, height = np.ceil(corners.max(axis=0)).astype(int) + 2 - (left, top)
 
-        fine = np.array(
-            [[_SUPERSAMPLING, 0, (_SUPERSAMPLING - 1) / 2 - _SUPERSAMPLING * left],
-             [0, _SUPERSAMPLING, (_SUPERSAMPLING - 1) / 2 - _SUPERSAMPLING * top],
-             [0, 0, 1]], dtype=np.float64,
-        )  # fmt: skip
-        size = (int(right - left), int(bottom - top))
-        to_fine = (fine @ camera @ matrix)[:2]
+        scale = self._fineness
+        shift = (scale - 1) / 2
+        to_fine = np.array(
+            [[scale, 0, shift - scale * left], [0, scale, shift - scale * top], [0, 0, 1]]
+        )
+        fine = np.zeros((height * scale, width * scale, 4), np.float32)
+        for part, outline in zip(parts, outlines, strict=True):
+            fixed = np.rint(_transformed(to_fine, outline) * 16).astype(np.int32)
+            colour = (part.warmth,) * 3 if self._thermal else part.colour
+            cv2.fillPoly(fine, [fixed], (*colour, 1.0), shift=4)
+        fine[..., :3] *= self._relief(to_fine @ to_picture, fine.shape)[..., None]
 
-        def resample(plane: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-            fine_size = (size[0] * _SUPERSAMPLING, size[1] * _SUPERSAMPLING)
-            warped = cv2.warpAffine(plane, to_fine, fine_size, flags=cv2.INTER_LINEAR)
-            return cv2.resize(warped, size, interpolation=cv2.INTER_AREA)
+        drawn = cv2.resize(fine, (int(width), int(height)), interpolation=cv2.INTER_AREA)
+        layer = Layer(drawn[..., :3], drawn[..., 3])
+        return PlacedSprite(int(left), int(top), layer, self._shadow(pose, to_image))
 
-        layer = Layer(resample(drawing.colour), resample(drawing.coverage))
-        foot = camera @ (pose.x, pose.y, 1.0)
-        reach = (0.5 * self._object.size, max(0.05 * self._object.size, 1.0))
-        shadow = (float(foot[0]), float(foot[1]), *reach) if self._kind.grounded else None
-        return PlacedSprite(int(left), int(top), layer, shadow)
-
-    def _geometry(
-        self, shape: tuple[int, ...], pose: Pose
-    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """The drawing's corners in the scene (3x4) and the map from drawing to scene (3x3)."""
-        height, width = shape
-        margin = self._scale * _SPRITE_MARGIN
-        foot = np.array((self._scale / 2 + margin - 0.5, height - margin - 0.5))
-        c, s = math.cos(pose.pitch) / _SUPERSAMPLING, math.sin(pose.pitch) / _SUPERSAMPLING
+    def _to_scene(self, pose: Pose) -> Matrix:
+        """Give the 3x3 map from the shape's own frame to the scene."""
+        size = self._object.size
+        c, s = size * math.cos(pose.pitch), size * math.sin(pose.pitch)
         flip = -1 if pose.mirrored else 1
-        linear = np.array([[c * flip, -s], [s * flip, c]])
+        linear = np.array([[c * flip, s], [s * flip, -c]])
         matrix = np.eye(3)
         matrix[:2, :2] = linear
-        matrix[:2, 2] = np.array([pose.x, pose.y]) - linear @ foot
-        corners = np.array([[0, width, width, 0], [0, 0, height, height], [1, 1, 1, 1]])
-        return matrix @ corners, matrix
+        matrix[:2, 2] = (pose.x, pose.y) - linear @ (0.5, 0.0)
+        return matrix
 
-    def _draw(self, parts: list[Part]) -> Layer:
-        side = self._side
-        colour = np.zeros((side, side, 3), np.float32)
-        coverage = np.zeros((side, side), np.float32)
-        margin = self._scale * _SPRITE_MARGIN
-        for part in parts:
-            points = np.array(part.points) * self._scale
-            pixels = np.column_stack((points[:, 0] + margin, side - margin - points[:, 1]))
-            fixed = np.rint((pixels - 0.5) * 16).astype(np.int32)
-            value = (part.warmth,) * 3 if self._thermal else part.colour
-            cv2.fillPoly(colour, [fixed], value, shift=4)
-            cv2.fillPoly(coverage, [fixed], (1.0,), shift=4)
-        relief = self._texture * (0.4 if self._thermal else 1.0) + 1
-        return Layer(colour * relief[..., None] * coverage[..., None], coverage)
+    def _relief(self, to_fine: Matrix, shape: tuple[int, ...]) -> npt.NDArray[np.float32]:
+        """Give the relative brightness of the body, which is fixed to it."""
+        unit = 1 / (len(self._texture) - 1)
+        map_ = (to_fine @ np.diag((unit, unit, 1.0)))[:2]
+        relief = cv2.warpAffine(
+            self._texture, map_, (shape[1], shape[0]), borderMode=cv2.BORDER_REPLICATE
+        )
+        return 1 + (0.4 if self._thermal else 1.0) * relief
+
+    def _shadow(self, pose: Pose, to_image: Matrix) -> tuple[float, float, float, float] | None:
+        if self._thermal or not self._kind.footprint:
+            return None
+        x, y = to_image @ (pose.x, pose.y, 1.0)
+        half = self._kind.footprint * self._object.size / 2
+        return float(x), float(y), half, max(0.12 * half, 1.0)
 
 
 @dataclass(frozen=True)
@@ -496,11 +491,15 @@ def _darken(picture: npt.NDArray[np.float32], ellipse: tuple[float, float, float
     picture[y0:y1, x0:x1] *= shade.astype(np.float32)[..., None]
 
 
-def _paint_texture(side: int, rng: np.random.Generator) -> npt.NDArray[np.float32]:
-    """Relative brightness over a body: reflections, dirt and seams, about ±15 percent."""
-    coarse = rng.standard_normal((9, 13)).astype(np.float32)
-    middle = rng.standard_normal((24, 36)).astype(np.float32)
-    size = (side, side)
+def _transformed(matrix: Matrix, points: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """Apply a 3x3 affine map to points, Nx2."""
+    return np.asarray(points) @ matrix[:2, :2].T + matrix[:2, 2]
+
+
+def _paint_texture(rng: np.random.Generator) -> npt.NDArray[np.float32]:
+    """Give deviations of brightness over a body, square: reflections, dirt and seams."""
+    size = (128, 128)
+    coarse = rng.standard_normal((12, 9)).astype(np.float32)
+    middle = rng.standard_normal((32, 24)).astype(np.float32)
     texture = 0.09 * cv2.resize(coarse, size, interpolation=cv2.INTER_CUBIC)
-    texture += 0.05 * cv2.resize(middle, size, interpolation=cv2.INTER_CUBIC)
-    return np.asarray(texture, dtype=np.float32)
+    return texture + 0.05 * cv2.resize(middle, size, interpolation=cv2.INTER_CUBIC)

@@ -3,11 +3,22 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 
-from .landscape import Backdrop, Brush, Extent, Flag, Painter, Palette, Sway, Water
-from .objects import Colour
+from .landscape import (
+    Backdrop,
+    Brush,
+    Extent,
+    Field,
+    Flag,
+    Painter,
+    Palette,
+    Sway,
+    Water,
+)
+from .objects import Colour, Layer
 from .textures import fractal_noise
 
 _PARKED_PAINTS: tuple[Colour, ...] = (
@@ -16,7 +27,7 @@ _PARKED_PAINTS: tuple[Colour, ...] = (
 
 
 def town(extent: Extent, palette: Palette, rng: np.random.Generator) -> Backdrop:
-    """A street across the view: buildings and trees behind it, desert shrubs before it.
+    """Paint a street across the view: buildings and trees behind it, desert shrubs before it.
 
     The lanes run at 0.58 and 0.67 of the height, the pavements at 0.5 and 0.76; poles stand
     behind the street.
@@ -36,6 +47,8 @@ def town(extent: Extent, palette: Palette, rng: np.random.Generator) -> Backdrop
     brush.haze(((0.0, 0.35), (0.3, 0.22), (0.6, 0.08), (1.0, 0.03)), palette.sky_low)
     for _ in range(round(14 * (brush.right - brush.left))):
         _shrub(brush, (0.4, 0.47), (0.008, 0.022))
+    brush.pebbles(0.36, 0.47, round(160 * (brush.right - brush.left)), palette.soil)
+    _wall(brush, 0.432)
     _street(brush, 0.52, 0.73)
     _pavement(brush, 0.475, 0.52)
     _pavement(brush, 0.73, 0.775)
@@ -48,13 +61,15 @@ def town(extent: Extent, palette: Palette, rng: np.random.Generator) -> Backdrop
         _utility_pole(brush, float(x + rng.uniform(-0.05, 0.05)), 0.49, 0.44)
     for x in np.arange(brush.left + 0.4, brush.right, 0.8):
         _sign(brush, float(x + rng.uniform(-0.1, 0.1)), 0.5)
+    brush.pebbles(0.785, brush.bottom, round(420 * (brush.right - brush.left)), palette.soil)
+    brush.weather(0.12)
     for _ in range(round(26 * (brush.right - brush.left))):
         _shrub(brush, (0.81, brush.bottom), (0.014, 0.06))
     return Backdrop(brush.finish())
 
 
 def town_behind_poles(extent: Extent, palette: Palette, rng: np.random.Generator) -> Backdrop:
-    """The street of `town` behind a lamp post, a utility pole and a tree trunk close by."""
+    """Paint the street of `town` behind a lamp post, a utility pole and a tree trunk close by."""
     behind = town(extent, palette, rng)
     brush = Brush(extent, palette, rng)
     middle = extent.width / extent.height / 2
@@ -80,14 +95,14 @@ def town_behind_poles(extent: Extent, palette: Palette, rng: np.random.Generator
 
 
 def fields(extent: Extent, palette: Palette, rng: np.random.Generator) -> Backdrop:
-    """Open country: ridges in the haze, tree lines, crops, a farm, and a road at 0.62."""
+    """Paint open country: ridges in the haze, tree lines, crops, a farm, and a road at 0.62."""
     brush = Brush(extent, palette, rng)
     _sky(brush, 0.26)
     _ridge(brush, 0.2, 0.06)
     _ridge(brush, 0.25, 0.03, strength=0.85)
     _ground(brush, 0.27, palette.crop, grain=0.06, stretch=(8, 0.8))
     edges = [0.29, 0.33, 0.38, 0.43, 0.49, 0.56]
-    for upper, lower in zip(edges[:-1], edges[1:], strict=True):
+    for upper, lower in pairwise(edges):
         x = brush.left
         while x < brush.right:
             width = float(rng.uniform(0.5, 1.4))
@@ -109,15 +124,19 @@ def fields(extent: Extent, palette: Palette, rng: np.random.Generator) -> Backdr
     brush.rectangle(brush.left, 0.565, brush.right, brush.bottom, palette.grass, 0.12, (4, 1.5))
     _street(brush, 0.585, 0.66, markings=False)
     _fence(brush, 0.7, 0.035)
-    for _ in range(round(60 * (brush.right - brush.left))):
+    for x in np.arange(brush.left + 0.2, brush.right, 0.7):
+        _utility_pole(brush, float(x + rng.uniform(-0.05, 0.05)), 0.575, 0.3)
+    brush.pebbles(0.68, brush.bottom, round(300 * (brush.right - brush.left)), palette.grass)
+    brush.weather(0.27)
+    for _ in range(round(45 * (brush.right - brush.left))):
         _shrub(brush, (0.74, brush.bottom), (0.01, 0.045), palette.grass)
     return Backdrop(brush.finish())
 
 
 def open_sky(extent: Extent, palette: Palette, rng: np.random.Generator) -> Backdrop:
-    """A plain sky with hardly a cloud above a line of trees and a mast."""
+    """Paint a plain sky with hardly a cloud above a line of trees and a mast."""
     brush = Brush(extent, palette, rng)
-    _sky(brush, 0.93, clouds=0.02)
+    _sky(brush, 0.93, clouds=0.012)
     _ridge(brush, 0.9, 0.025)
     brush.haze(((0.0, 0.0), (0.8, 0.05), (0.95, 0.3)), palette.sky_low)
     x = brush.left
@@ -131,7 +150,7 @@ def open_sky(extent: Extent, palette: Palette, rng: np.random.Generator) -> Back
 
 
 def lakeside(extent: Extent, palette: Palette, rng: np.random.Generator) -> Backdrop:
-    """A lake with ripples, trees in the wind and a flag: much stirs and nothing goes anywhere."""
+    """Paint a lake with ripples, trees in the wind and a flag: much stirs, nothing moves on."""
     brush = Brush(extent, palette, rng)
     _sky(brush, 0.2)
     _ridge(brush, 0.16, 0.05)
@@ -153,7 +172,7 @@ def lakeside(extent: Extent, palette: Palette, rng: np.random.Generator) -> Back
 
     unit = brush.unit
     ripples = tuple(fractal_noise((256, 512), rng, exponent=0.9) for _ in range(2))
-    lake = Water(*water, palette.water, (ripples[0], ripples[1]), 0.13 * palette.relief)
+    lake = Water(*water, palette.water, (ripples[0], ripples[1]), 0.1 * palette.relief)
     flag = Flag(
         flag_x * unit + extent.margin_x,
         flag_y * unit + extent.margin_y,
@@ -171,21 +190,25 @@ PAINTERS: dict[str, Painter] = {
 }
 
 
+def _blend(upper: Colour, lower: Colour, share: Field) -> Field:
+    return np.array(upper, np.float32) * (1 - share) + np.array(lower, np.float32) * share
+
+
 def _tint(colour: Colour, factor: float) -> Colour:
     b, g, r = (min(c * factor, 1.0) for c in colour)
     return (b, g, r)
 
 
-def _sky(brush: Brush, horizon: float, clouds: float = 0.035) -> None:
-    brush.rectangle(brush.left, brush.top, brush.right, horizon, (1, 1, 1), clouds, (12, 3))
+def _sky(brush: Brush, horizon: float, clouds: float = 0.02) -> None:
+    brush.rectangle(brush.left, brush.top, brush.right, horizon, (1, 1, 1), clouds, (7, 3))
     rows = np.linspace(0, 1, brush.canvas.shape[0])[:, None] / max(horizon, 0.05)
     blend = np.clip(rows, 0, 1).astype(np.float32)[..., None]
     palette = brush.palette
-    brush.canvas *= np.float32(palette.sky_top) * (1 - blend) + np.float32(palette.sky_low) * blend
+    brush.canvas[..., :3] *= _blend(palette.sky_top, palette.sky_low, blend)
 
 
 def _ridge(brush: Brush, level: float, roughness: float, strength: float = 1.0) -> None:
-    """A skyline of hills; `strength` darkens it with nearness."""
+    """Paint a skyline of hills; `strength` darkens it with nearness."""
     xs = np.linspace(brush.left, brush.right, 160)
     walk = fractal_noise((1, 512), brush.rng, exponent=1.4)[0, :160]
     crest = level - roughness * (0.5 + 0.5 * walk)
@@ -215,7 +238,7 @@ def _buildings(
         side = 0.2 * wide
         brush.rectangle(x + wide - side, top, x + wide, ground, _tint(facade, 0.72), 0.05, (2, 3))
         if rng.random() < 0.5:
-            rise = 0.28 * tall
+            rise = 0.34 * tall
             eaves = ((x - 0.012, top), (x + 0.03, top - rise), (x + wide - 0.04, top - rise),
                      (x + wide + 0.012, top))  # fmt: skip
             brush.fill(eaves, roof, 0.12, (0.7, 0.5))
@@ -256,9 +279,9 @@ def _street(brush: Brush, upper: float, lower: float, markings: bool = True) -> 
         wide = float(rng.uniform(0.03, 0.16))
         patch = _tint(palette.asphalt, float(rng.uniform(0.78, 1.12)))
         brush.rectangle(x, y, x + wide, y + float(rng.uniform(0.006, 0.02)), patch, 0.06, (2, 1))
-        crack_y = np.clip(y + rng.uniform(-0.02, 0.02, 5), upper, lower)
-        crack = zip((x + np.linspace(0, 0.2, 5)).tolist(), crack_y.tolist(), strict=True)
-        brush.line(list(crack), 0.002, _tint(palette.asphalt, 0.7))
+        crack_y = np.clip(y + np.cumsum(rng.uniform(-0.005, 0.005, 9)), upper, lower)
+        crack = zip((x + np.linspace(0, 0.1, 9)).tolist(), crack_y.tolist(), strict=True)
+        brush.line(list(crack), 0.0015, _tint(palette.asphalt, 0.8))
     if not markings:
         return
     for y, colour in (
@@ -285,6 +308,22 @@ def _pavement(brush: Brush, upper: float, lower: float) -> None:
     brush.rectangle(brush.left, lower - 0.003, brush.right, lower, _tint(palette.pavement, 1.2))
 
 
+def _wall(brush: Brush, level: float) -> None:
+    """Paint garden walls with gaps, and wheeled bins before them."""
+    rng, palette = brush.rng, brush.palette
+    x = brush.left
+    while x < brush.right:
+        wide = float(rng.uniform(0.15, 0.5))
+        if rng.random() < 0.7:
+            tone = _tint(palette.facades[int(rng.integers(len(palette.facades)))], 0.9)
+            brush.rectangle(x, level - 0.035, x + wide, level, tone, 0.06, (1.5, 0.6))
+            brush.rectangle(x, level - 0.038, x + wide, level - 0.033, _tint(tone, 1.2))
+            brush.rectangle(x, level, x + wide, level + 0.005, _tint(palette.soil, 0.6))
+            bin_x = x + wide * float(rng.random())
+            brush.rectangle(bin_x, level - 0.02, bin_x + 0.015, level + 0.008, palette.window)
+        x += wide + float(rng.uniform(0.02, 0.15))
+
+
 def _shrub(
     brush: Brush,
     levels: tuple[float, float],
@@ -297,8 +336,11 @@ def _shrub(
     y = levels[0] + nearness * (levels[1] - levels[0])
     size = sizes[0] + nearness * (sizes[1] - sizes[0]) * float(rng.uniform(0.5, 1.0))
     tone = colour or (palette.leaves, palette.dry_leaves)[int(rng.integers(2))]
-    shadow = [(x + 1.3 * size * math.cos(a) + 0.3 * size, y + 0.3 * size * math.sin(a) + 0.5 * size)
-              for a in np.linspace(0, 2 * math.pi, 12).tolist()]  # fmt: skip
+    angles = np.linspace(0, 2 * math.pi, 12).tolist()
+    shadow = [
+        (x + size * (0.3 + 1.3 * math.cos(a)), y + size * (0.5 + 0.3 * math.sin(a)))
+        for a in angles
+    ]
     brush.fill(shadow, _tint(palette.soil, 0.55 * brush.palette.shadow + 0.3), 0.08)
     brush.foliage(x, y, size * 1.3, size * 0.75, _tint(tone, float(rng.uniform(0.85, 1.25))))
 
@@ -348,8 +390,14 @@ def _farm(brush: Brush, x: float, ground: float) -> None:
     for offset, wide, tall in ((0.0, 0.2, 0.05), (0.24, 0.1, 0.07)):
         left, top = x + offset, ground - tall
         brush.rectangle(left, top, left + wide, ground, palette.facades[0], 0.05)
-        brush.fill(((left - 0.01, top), (left + 0.02, top - 0.035), (left + wide - 0.02, top - 0.035),
-                    (left + wide + 0.01, top)), palette.roofs[0], 0.08)  # fmt: skip
+        ridge, eaves = top - 0.035, left + wide
+        roof = (
+            (left - 0.01, top),
+            (left + 0.02, ridge),
+            (eaves - 0.02, ridge),
+            (eaves + 0.01, top),
+        )
+        brush.fill(roof, palette.roofs[0], 0.08)
         _windows(brush, left + 0.01, top + 0.012, left + wide - 0.01, ground)
 
 
@@ -375,5 +423,5 @@ def _swaying_trees(
     covered = np.nonzero(layer.coverage.max(axis=1))[0]
     rows, columns = slice(int(covered[0]), int(covered[-1]) + 1), slice(0, layer.coverage.shape[1])
     seed = int(brush.rng.integers(2**32))
-    cut = type(layer)(layer.colour[rows, columns], layer.coverage[rows, columns])
+    cut = Layer(layer.colour[rows, columns], layer.coverage[rows, columns])
     return Sway(cut, rows, columns, amplitude * brush.unit, seed)

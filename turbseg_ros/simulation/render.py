@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import Any
 
 import cv2
@@ -21,7 +22,29 @@ Field = npt.NDArray[np.float32]
 FIRST_STAMP_NS = 1_000_000_000
 """Zero would mean "no time" to some readers of ROS bags."""
 
+_MARGIN = 24
+"""Pixels composed beyond the frame, which the tilt draws in. It is the same for every strength of
+turbulence, so that a seed's landscape is too."""
+
+_MAX_PITCH = 0.3
+"""Radians by which a flying object's nose follows its path at most."""
+
 Labels = npt.NDArray[np.uint16]
+
+
+class _Purpose(IntEnum):
+    """What random numbers are for: each has its own, so that one change leaves the rest alone."""
+
+    LANDSCAPE = 0
+    OBJECT = 1
+    CAMERA = 2
+    TILT = 3
+    BLUR = 4
+    SENSOR = 5
+
+
+def _rng(seed: int, purpose: _Purpose, index: int = 0) -> np.random.Generator:
+    return np.random.default_rng([seed, purpose, index])
 
 
 @dataclass(frozen=True)
@@ -41,34 +64,33 @@ class RenderedFrame:
 
 
 def render(scene: Scene, seed: int = 0) -> Iterator[RenderedFrame]:
-    """The frames of a scene, in order; the same for the same seed.
+    """Render the frames of a scene, in order; the same for the same seed.
 
     The composite of landscape and objects, and the outline of every object, are warped by one
     tilt field; then the picture alone is blurred and sensed.
     """
-    streams = np.random.SeedSequence(seed).spawn(5)
-    world_rng, camera_rng, tilt_rng, blur_rng, sensor_rng = map(np.random.default_rng, streams)
-    stage = _Stage(scene, camera_rng, world_rng)
+    stage = _Stage(scene, seed)
     shape = (scene.height, scene.width)
-    tilts = TiltField(shape, scene.turbulence, tilt_rng)
-    blurs = BlurField(shape, scene.turbulence, blur_rng)
+    tilts = TiltField(shape, scene.turbulence, _rng(seed, _Purpose.TILT))
+    blurs = BlurField(shape, scene.turbulence, _rng(seed, _Purpose.BLUR))
+    sensor_rng = _rng(seed, _Purpose.SENSOR)
     pattern = scene.sensor.pattern(scene.width, sensor_rng)
     for index in range(scene.frames):
         composite = stage.composite(index)
         tilt = tilts.next()
-        seen = warp(composite.picture, tilt, stage.margin)
+        seen = warp(composite.picture, tilt, _MARGIN)
         seen = blur(cv2.GaussianBlur(seen, (0, 0), scene.sensor.lens_blur), blurs.next())
         yield RenderedFrame(
             stamp_ns=FIRST_STAMP_NS + round(index * 1e9 / scene.rate_hz),
             image=scene.sensor.expose(seen, pattern, sensor_rng),
-            labels=_warped_labels(composite, tilt, stage.margin),
+            labels=_warped_labels(composite, tilt),
             tilt_px=tilt,
         )
 
 
 @dataclass(frozen=True)
 class _Composite:
-    """The undistorted scene, larger than the frame by the stage's margin on every side.
+    """The undistorted scene, larger than the frame by `_MARGIN` on every side.
 
     `outlines` are the objects' placed sprites, farthest first; `screen` is the coverage of what
     stands before all of them.
@@ -82,22 +104,23 @@ class _Composite:
 class _Stage:
     """Landscape, objects and camera of a scene, before the air comes in."""
 
-    def __init__(
-        self, scene: Scene, camera_rng: np.random.Generator, world_rng: np.random.Generator
-    ) -> None:
+    def __init__(self, scene: Scene, seed: int) -> None:
         self._scene = scene
-        self.margin = math.ceil(5 * scene.turbulence.tilt_px) + 4
         centre = (scene.width / 2, scene.height / 2)
-        self._to_frame = scene.camera.trajectory(scene.frames, centre, camera_rng)
-        extent = _extent(scene, self._to_frame, self.margin)
+        self._to_frame = scene.camera.trajectory(scene.frames, centre, _rng(seed, _Purpose.CAMERA))
+        extent = _extent(scene, self._to_frame)
         self._to_painting = np.array([[1, 0, extent.margin_x], [0, 1, extent.margin_y], [0, 0, 1]])
         palette = THERMAL if scene.thermal else DAYLIGHT
-        self._backdrop: Backdrop = PAINTERS[scene.landscape](extent, palette, world_rng)
-        self._actors = [_Actor(each, scene, world_rng) for each in scene.objects]
+        self._backdrop: Backdrop = PAINTERS[scene.landscape](
+            extent, palette, _rng(seed, _Purpose.LANDSCAPE)
+        )
+        self._actors = [
+            _Actor(each, scene, _rng(seed, _Purpose.OBJECT, each.id)) for each in scene.objects
+        ]
 
     def composite(self, index: int) -> _Composite:
-        """The scene as it stands at a frame."""
-        to_picture = self._to_frame[index] + np.array([[0, 0, self.margin], [0, 0, self.margin]])
+        """Give the scene as it stands at a frame."""
+        to_picture = self._to_frame[index] + np.array([[0, 0, _MARGIN], [0, 0, _MARGIN]])
         picture = self._project(self._backdrop.at(index), to_picture)
         outlines = []
         for actor in self._actors:
@@ -114,7 +137,7 @@ class _Stage:
 
     def _project(self, painting: Field, to_picture: npt.NDArray[np.float64]) -> Field:
         to_picture = np.vstack((to_picture, [0, 0, 1])) @ np.linalg.inv(self._to_painting)
-        size = (self._scene.width + 2 * self.margin, self._scene.height + 2 * self.margin)
+        size = (self._scene.width + 2 * _MARGIN, self._scene.height + 2 * _MARGIN)
         return cv2.warpAffine(
             painting, to_picture[:2], size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT
         )
@@ -138,7 +161,7 @@ class _Actor:
         return self._sprite.place(phase, Pose(float(x), float(y), pitch, backward), to_picture)
 
     def _heading(self, index: int) -> tuple[bool, float]:
-        """Whether it faces left, and its pitch: as it last moved."""
+        """Tell whether it faces left, and its pitch: as it last moved."""
         if self._velocities is None:
             return False, 0.0
         past = self._velocities[: index + 1]
@@ -148,20 +171,22 @@ class _Actor:
         if not len(moving):
             return False, 0.0
         dx, dy = self._velocities[moving[-1]]
-        pitch = 0.0 if self._kind.grounded else math.atan2(dy * np.sign(dx), abs(dx))
-        return bool(dx < 0), pitch
+        if self._kind.footprint:
+            return bool(dx < 0), 0.0
+        climb = math.atan2(dy * np.sign(dx), abs(dx))
+        return bool(dx < 0), min(max(climb, -_MAX_PITCH), _MAX_PITCH)
 
 
-def _extent(scene: Scene, to_frame: npt.NDArray[np.float64], margin: int) -> Extent:
-    """What the camera gets to see of the scene in the whole clip."""
+def _extent(scene: Scene, to_frame: npt.NDArray[np.float64]) -> Extent:
+    """Give what the camera gets to see of the scene in the whole clip."""
     width, height = scene.width, scene.height
     corners = np.array([[0, width, width, 0], [0, 0, height, height], [1, 1, 1, 1]])
     moved = np.abs(to_frame @ corners - corners[:2]).max(axis=(0, 2))
-    margin_x, margin_y = (math.ceil(reach) + margin + 2 for reach in moved)
+    margin_x, margin_y = (math.ceil(reach) + _MARGIN + 2 for reach in moved)
     return Extent(width, height, margin_x, margin_y)
 
 
-def _warped_labels(composite: _Composite, tilt: Field, margin: int) -> Labels:
+def _warped_labels(composite: _Composite, tilt: Field) -> Labels:
     """Each object where the warped outline covers half a pixel, nearer ones over farther."""
     shape = composite.picture.shape[:2]
     labels = np.zeros(tilt.shape[:2], np.uint16)
@@ -172,7 +197,7 @@ def _warped_labels(composite: _Composite, tilt: Field, margin: int) -> Labels:
         region, layer = inside
         coverage = np.zeros(shape, np.float32)
         coverage[region] = layer.coverage
-        labels[warp(coverage, tilt, margin, cv2.INTER_LINEAR) > 0.5] = identity
+        labels[warp(coverage, tilt, _MARGIN, cv2.INTER_LINEAR) > 0.5] = identity
     if composite.screen is not None:
-        labels[warp(composite.screen, tilt, margin, cv2.INTER_LINEAR) > 0.5] = 0
+        labels[warp(composite.screen, tilt, _MARGIN, cv2.INTER_LINEAR) > 0.5] = 0
     return labels

@@ -32,7 +32,7 @@ class Scene:
     thermal: bool = False
 
     def with_tilt(self, tilt_px: float) -> Scene:
-        """The same scene in stronger or weaker turbulence: rms tilt a axis in its pixels."""
+        """Give the same scene in stronger or weaker turbulence: rms tilt a axis in its pixels."""
         return replace(self, turbulence=self.turbulence.with_tilt(tilt_px))
 
 
@@ -41,7 +41,10 @@ class UnknownSceneError(ValueError):
 
 
 def scene(name: str) -> Scene:
-    """The scene of that name; raises `UnknownSceneError`."""
+    """Give the scene of that name.
+
+    :raises UnknownSceneError: when there is none.
+    """
     if name in SCENES:
         return SCENES[name]
     close = difflib.get_close_matches(name, SCENES, n=1, cutoff=0.4)
@@ -50,7 +53,7 @@ def scene(name: str) -> Scene:
 
 
 def _drive(x: float, y: float, velocity: float, frames: int = 75) -> Path:
-    """Straight along the picture's rows at a constant velocity in pixels a frame."""
+    """Go straight along the picture's rows at a constant velocity in pixels a frame."""
     return Path(((0, x, y), (frames, x + velocity * frames, y)))
 
 
@@ -83,9 +86,9 @@ _SMALL: tuple[Scene, ...] = (
         _HAZE,
         (
             SceneObject(2, "van", 70, _drive(425, 169, -2.0), _WHITE),
-            SceneObject(1, "sedan", 66, _drive(75, 197, 3.2), _BLUE),
+            SceneObject(1, "sedan", 66, _drive(75, 197, 3.2), _BLACK),
         ),
-        sensor=_SMALL_SENSOR, width=512, height=288, frames=60,
+        sensor=_SMALL_SENSOR, width=512, height=288, frames=52,
     ),
     Scene(
         "severe",
@@ -108,7 +111,7 @@ _SMALL: tuple[Scene, ...] = (
             SceneObject(1, "person", 40, _drive(150, 219, 0.9)),
         ),
         CameraMotion(shake=5.0, roll=0.003),
-        sensor=_SMALL_SENSOR, width=512, height=288, frames=48,
+        sensor=_SMALL_SENSOR, width=512, height=288, frames=44,
     ),
     Scene(
         "empty",
@@ -122,15 +125,15 @@ _SMALL: tuple[Scene, ...] = (
         "thermal",
         "people and a pickup at dusk, seen by a 16-bit thermal camera",
         "town",
-        _HAZE,
+        Turbulence.typical(0.4, 384),
         (
-            SceneObject(3, "person", 34, _drive(300, 147, -0.8)),
-            SceneObject(2, "pickup", 68, _drive(90, 195, 2.4)),
-            SceneObject(1, "person", 42, _drive(330, 220, 1.1)),
+            SceneObject(3, "person", 26, _drive(225, 110, -0.6)),
+            SceneObject(2, "pickup", 51, _drive(68, 146, 1.8)),
+            SceneObject(1, "person", 32, _drive(247, 165, 0.8)),
         ),
-        sensor=Sensor("mono16", full_well=60_000, read_noise=90, lens_blur=0.9,
+        sensor=Sensor("mono16", full_well=400_000, read_noise=200, lens_blur=0.9,
                       column_noise=0.002),
-        width=512, height=288, frames=40, thermal=True,
+        width=384, height=216, frames=32, thermal=True,
     ),
 )  # fmt: skip
 
@@ -237,7 +240,7 @@ _LARGE: tuple[Scene, ...] = (
         (
             SceneObject(1, "airliner", 120, Path(((0, 90, 190), (75, 440, 110))), _WHITE),
             SceneObject(2, "light_aircraft", 56, _drive(800, 300, -4.5), _SILVER),
-            SceneObject(3, "drone", 22, Path(((0, 560, 90), (30, 600, 60), (75, 720, 120))), _BLACK),
+            SceneObject(3, "drone", 22, Path(((0, 560, 90), (75, 720, 120))), _BLACK),
         ),
     ),
     Scene(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 from scipy import fft
@@ -16,7 +15,7 @@ def fractal_noise(
     exponent: float = 1.0,
     stretch: tuple[float, float] = (1.0, 1.0),
 ) -> Field:
-    """Noise whose amplitude falls as 1/f^exponent, as natural pictures' does.
+    """Give noise whose amplitude falls as 1/f^exponent, as natural pictures' does.
 
     float32 of `shape`, zero mean, unit variance, periodic; `stretch` draws it out along x and y.
     Reference: Field, "Relations between the statistics of natural images and the response
@@ -30,13 +29,3 @@ def fractal_noise(
     spectrum = fft.rfft2(rng.standard_normal(shape)) / frequency**exponent
     noise = fft.irfft2(spectrum, s=shape)
     return np.asarray(noise / noise.std(), dtype=np.float32)
-
-
-def value_noise(shape: tuple[int, int], cell: float, rng: np.random.Generator) -> Field:
-    """Smooth random hills about `cell` pixels wide, float32 of `shape`, about unit variance."""
-    height, width = shape
-    coarse = rng.standard_normal((int(height / cell) + 4, int(width / cell) + 4))
-    scaled = cv2.resize(
-        coarse.astype(np.float32), None, fx=cell, fy=cell, interpolation=cv2.INTER_CUBIC
-    )
-    return scaled[:height, :width]

@@ -29,10 +29,12 @@ class ClipWarper:
         self._blurs = BlurField(shape, turbulence, blur_rng)
 
     def distort(self, image: Image, labels: Image | None) -> tuple[Image, Image | None]:
-        """The next frame and its truth as seen through the air, dtypes kept.
+        """Give the next frame and its truth as seen through the air, dtypes kept.
 
         `image` is HxW or HxWx3, uint8, uint16 or float32; `labels` HxW of integers, 0 the
-        background. Raises ValueError when a shape is not the clip's.
+        background.
+
+        :raises ValueError: when a shape is not the clip's.
         """
         for picture in (image, labels):
             if picture is not None and picture.shape[:2] != self._shape:
@@ -46,7 +48,7 @@ class ClipWarper:
 
 
 def warp_labels(labels: Image, tilt: Field) -> Image:
-    """The labels as seen through the tilt: each where its warped mask covers half a pixel."""
+    """Give the labels as seen through the tilt: each where its mask covers half a pixel."""
     warped = np.zeros_like(labels)
     for value in np.unique(labels[labels != 0]):
         mask = (labels == value).astype(np.float32)
