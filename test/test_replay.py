@@ -148,7 +148,7 @@ def test_nothing_is_written_when_no_image_can_be_read(
 
 
 def test_overlay_strip_is_drawn_on_request(bag: Path, tmp_path: Path) -> None:
-    overlay = tmp_path / "strip.png"
+    overlay = tmp_path / "pictures" / "strip.png"
     replay.main([str(bag), "-o", str(tmp_path / "out"), "--overlay", str(overlay)])
     assert cv2.imread(str(overlay)).shape == (3 * 320 + 8, 3 * 480 + 8, 3)
 
@@ -204,7 +204,7 @@ def test_a_wrong_argument_is_one_line_and_no_output(
 def test_evaluate_writes_table_and_json(
     bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    file = tmp_path / "scores.json"
+    file = tmp_path / "results" / "scores.json"
     assert evaluate.main([str(bag), "--json", str(file), "-p", "max_objects:=4"]) == 0
     content = json.loads(file.read_text())
     (scores,) = content["bags"]

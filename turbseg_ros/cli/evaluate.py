@@ -36,6 +36,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.predictions is not None and len(options.bags) > 1:
         raise UsageError("--predictions are those of one BAG; give one")
     parameters = parameters_from(options)
+    if options.json is not None:
+        options.json.parent.mkdir(parents=True, exist_ok=True)
 
     table = Table.of([str(bag) for bag in options.bags])
     print(table.head)

@@ -53,6 +53,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parameters = parameters_from(options)
     reader = BagReader(options.bag)
     frames = BagFrames(reader, reader.find_image_topic(options.image_topic))
+    if options.overlay is not None:
+        options.overlay.parent.mkdir(parents=True, exist_ok=True)
     strip = OverlayStrip(len(frames))
     count = 0
     with BagWriter(options.out) as bag:
