@@ -47,6 +47,7 @@ def status(report, **changes):
         "min_rate": 0.0,
         "latency_mode": "centred",
         "look_ahead": 6,
+        "waiting": 2,
         **changes,
     }
     return status_message("/turbseg", report, NodeState(**state))
@@ -79,6 +80,7 @@ def test_reports_rates_latencies_and_what_was_seen(statistics, clock):
     assert shown["ego-motion model"] == "similarity"
     assert shown["objects"] == "0"
     assert shown["look-ahead (frames)"] == "6"
+    assert shown["images waiting"] == "2"
 
 
 def test_periods_count_apart_and_totals_go_on(statistics, clock):

@@ -103,7 +103,7 @@ class Harness:
     def settle(self):
         done = threading.Event()
         deadline = time.monotonic() + 5.0
-        while self.worker._inbox._arrivals and time.monotonic() < deadline:
+        while self.worker.waiting and time.monotonic() < deadline:
             time.sleep(0.001)
         self.worker._inbox.command(done.set)
         assert done.wait(5.0)
@@ -143,7 +143,7 @@ def test_keeps_the_newest_images_when_too_many_wait():
     harness = Harness(queue_size=3)
     harness.segmenter.gate.clear()
     harness.submit(0)
-    while harness.worker._inbox._arrivals:
+    while harness.worker.waiting:
         time.sleep(0.001)
     harness.submit(*stamps(10, PERIOD))
     harness.segmenter.gate.set()
@@ -237,6 +237,22 @@ def test_stopping_answers_the_window_and_drops_what_waits(harness):
     assert harness.answered == stamps(len(harness.answered))
     totals = harness.totals()
     assert totals[Event.ANSWERED] + totals[Event.DROPPED] == 8
+
+
+def test_stopping_gives_up_on_a_frame_that_takes_for_ever(harness, monkeypatch):
+    monkeypatch.setattr("turbseg_ros.ros.worker._STOP_TIMEOUT", 0.05)
+    harness.submit(*stamps(4))
+    harness.settle()
+    harness.segmenter.gate.clear()
+    harness.submit(*stamps(1, 4 * PERIOD))
+    while harness.worker.waiting:
+        time.sleep(0.001)
+    answered = harness.answered
+    harness.worker.stop()
+    assert any("go unanswered" in line for line in harness.logger.lines)
+    harness.segmenter.gate.set()
+    harness.worker._thread.join(5.0)
+    assert harness.answered == answered
 
 
 def test_inbox_gives_commands_before_images():

@@ -110,7 +110,8 @@ class NodeState:
 
     `publishers` and `reliability` are those of its image topic. `patience` is the silence, in
     seconds, after which the input counts as stale; `min_rate`, in Hz, is what it has to reach.
-    `look_ahead` is the number of frames that have to follow one before it is answered.
+    `look_ahead` is the number of frames that have to follow one before it is answered; `waiting`
+    images have not been looked at yet.
     """
 
     topic: str
@@ -121,6 +122,7 @@ class NodeState:
     min_rate: float
     latency_mode: str
     look_ahead: int
+    waiting: int
 
 
 def status_message(name: str, report: Report, state: NodeState) -> DiagnosticStatus:
@@ -173,6 +175,7 @@ def _figures(report: Report, state: NodeState) -> Iterator[tuple[str, str]]:
             yield f"latency from {origin} p{percentile} (ms)", f"{1000 * value:.1f}"
     yield "latency mode", state.latency_mode
     yield "look-ahead (frames)", str(state.look_ahead)
+    yield "images waiting", str(state.waiting)
     for event in Event:
         yield f"images {event.value}", str(report.totals[event])
     if report.last:

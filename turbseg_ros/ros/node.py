@@ -155,6 +155,7 @@ class TurbsegNode(Node):  # type: ignore[misc]  # rclpy is read as untyped
             min_rate=parameters.diagnostics.min_rate,
             latency_mode=parameters.latency.mode,
             look_ahead=self._segmenter.look_ahead,
+            waiting=self._worker.waiting,
         )
 
 

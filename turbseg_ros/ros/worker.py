@@ -22,8 +22,8 @@ from turbseg_ros.segmentation.frame import Frame, SegmentationResult
 _SECOND = 1e9
 # What may happen on every frame is logged so often at most, in seconds.
 _THROTTLE = 5.0
-# A frame that is being segmented when the node stops is waited for, in seconds.
-_STOP_TIMEOUT = 4.0
+# Seconds that the last frames may take when the node stops; ros2 launch kills it after ten.
+_STOP_TIMEOUT = 8.0
 
 
 class Segmenter(Protocol):
@@ -61,6 +61,10 @@ class Inbox:
         self._arrivals: deque[Arrival] = deque()
         self._commands: deque[Command] = deque()
         self._filled = threading.Condition()
+
+    def __len__(self) -> int:
+        """Images that wait."""
+        return len(self._arrivals)
 
     def put(self, arrival: Arrival) -> int:
         """Add an image; give how many older ones made room for it."""
@@ -129,12 +133,18 @@ class SegmentationWorker:
         self._unanswered: dict[int, tuple[Frame, int]] = {}
         self._last_arrival = 0
         self._running = True
+        self._abandoned = False
         self._thread = threading.Thread(target=self._run, name="segmentation", daemon=True)
 
     @property
     def patience(self) -> float:
         """Seconds without an image after which the stream has paused."""
         return self._monitor.patience
+
+    @property
+    def waiting(self) -> int:
+        """Images that wait to be segmented."""
+        return len(self._inbox)
 
     def start(self) -> None:
         """Begin to work."""
@@ -164,6 +174,9 @@ class SegmentationWorker:
         self._statistics.count(Event.DROPPED, self._inbox.clear())
         self._inbox.command(self._stop)
         self._thread.join(_STOP_TIMEOUT)
+        if self._thread.is_alive():
+            self._logger.warning("stopping takes too long: the last frames go unanswered")
+            self._abandoned = True
 
     def _run(self) -> None:
         while self._running:
@@ -248,6 +261,8 @@ class SegmentationWorker:
     def _publish_answer(self, result: SegmentationResult) -> None:
         stamp = result.frame.stamp
         _, arrived = self._unanswered.pop(stamp)
+        if self._abandoned:
+            return
         try:
             self._publish(result)
         except Exception:
@@ -261,7 +276,9 @@ class SegmentationWorker:
         )
 
     def _log_error(self, text: str) -> None:
-        self._logger.error(text, throttle_duration_sec=_THROTTLE)
+        # What fails because the node is gone already is no news.
+        if not self._abandoned:
+            self._logger.error(text, throttle_duration_sec=_THROTTLE)
 
 
 def _empty_result(frame: Frame) -> SegmentationResult:
