@@ -262,9 +262,12 @@ def test_a_file_that_metadata_names_and_is_missing_is_named(tmp_path):
 
 def test_damaged_metadata_is_named(tmp_path):
     bag = write_strings(tmp_path / "bag", [("/a", 1)])
-    for content in ("{", "[]", "rosbag2_bagfile_information: 3", "\x00"):
+    stored = "rosbag2_bagfile_information: {storage_identifier: mcap, relative_file_paths: "
+    for content in ("{", "[]", "rosbag2_bagfile_information: 3", "\x00", stored + "5}"):
         (bag / "metadata.yaml").write_text(content)
         assert "metadata.yaml" in refusal(bag)
+    (bag / "metadata.yaml").write_text(stored + "[5]}")
+    assert "lacks 5" in refusal(bag)
 
 
 @pytest.mark.parametrize("with_metadata", [True, False])

@@ -25,9 +25,8 @@ from turbseg_ros.bag import qos as qos_format
 from turbseg_ros.bag.errors import BagError
 from turbseg_ros.bag.schema import message_class
 
-IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
-# Images in this namespace are truth to score against, not input.
-TRUTH_NAMESPACE = "ground_truth"
+_IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
+_TRUTH_NAMESPACE = "ground_truth"
 
 # What the MCAP library raises on damaged content.
 _DAMAGE = (
@@ -49,6 +48,16 @@ class Topic:
     type_name: str
     message_count: int
     qos: tuple[QoSProfile, ...]
+
+    @property
+    def has_images(self) -> bool:
+        """Whether images were recorded, compressed or not."""
+        return self.type_name in _IMAGE_TYPES and self.message_count > 0
+
+    @property
+    def is_truth(self) -> bool:
+        """Whether it is ground truth to score against, not input."""
+        return _TRUTH_NAMESPACE in self.name.split("/")
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,11 +122,7 @@ class BagReader:
 
         :raises BagError: when there is none, or several to choose from, or `requested` isn't one.
         """
-        images = [
-            topic.name
-            for topic in self.topics.values()
-            if topic.type_name in IMAGE_TYPES and topic.message_count
-        ]
+        images = [name for name, topic in self.topics.items() if topic.has_images]
         if requested is not None:
             if requested in images:
                 return requested
@@ -126,7 +131,7 @@ class BagReader:
                 f"{_listed(images)} and other messages on "
                 f"{_listed([name for name in self.topics if name not in images])}"
             )
-        inputs = [name for name in images if TRUTH_NAMESPACE not in name.split("/")]
+        inputs = [name for name in images if not self.topics[name].is_truth]
         if not inputs:
             raise BagError(
                 f"{self.path} has no image topic to segment; its topics: {_listed(self.topics)}"
@@ -192,10 +197,11 @@ def _listed_files(directory: Path, information: Mapping[str, Any]) -> list[Path]
             f"{directory} is compressed by rosbag2 (mode {information['compression_mode']}); "
             "convert it with 'ros2 bag convert' to plain mcap, which compresses by itself"
         )
-    # Early rosbag2 wrote names that begin with the directory's own.
-    files = [directory / Path(name).name for name in information.get("relative_file_paths") or ()]
-    if not files:
+    names = information.get("relative_file_paths")
+    if not isinstance(names, list) or not names:
         raise BagError(f"{directory / 'metadata.yaml'} names no .mcap file")
+    # Early rosbag2 wrote names that begin with the directory's own.
+    files = [directory / Path(str(name)).name for name in names]
     missing = [file.name for file in files if not file.is_file()]
     if missing:
         raise BagError(f"{directory} lacks {_listed(missing)}, which its metadata.yaml names")

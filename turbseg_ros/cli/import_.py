@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import itertools
-import math
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -21,6 +20,7 @@ from turbseg_ros.bag.clip import (
 from turbseg_ros.bag.errors import ClipError
 from turbseg_ros.bag.masks import Labels, mask_meaning
 from turbseg_ros.bag.writer import BagWriter
+from turbseg_ros.cli.arguments import positive_number
 from turbseg_ros.cli.errors import UsageError, executable
 from turbseg_ros.evaluation.labels import TRUTH_TOPIC
 from turbseg_ros.ros.image_conversion import message_from_image
@@ -125,19 +125,12 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--masks", type=Path, metavar="DIR", help="folder with a mask a frame")
     parser.add_argument(
         "--rate",
-        type=_positive,
+        type=positive_number,
         metavar="HZ",
         help=f"frame rate (default: the video's own; {_FOLDER_RATE:g} for folders)",
     )
     parser.add_argument("--topic", default="/camera/image_raw", help="default: %(default)s")
     return parser
-
-
-def _positive(text: str) -> float:
-    value = float(text)
-    if not (math.isfinite(value) and value > 0):
-        raise argparse.ArgumentTypeError(f"{text} is not above 0")
-    return value
 
 
 if __name__ == "__main__":
