@@ -147,6 +147,14 @@ def test_nothing_is_written_when_no_image_can_be_read(
     assert [entry.name for entry in tmp_path.iterdir()] == ["bag"]
 
 
+def test_a_stamp_before_the_epoch_is_kept(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.write(IMAGE_TOPIC, message_from_image(picture(3), "mono8", -STEP), START)
+    assert replay.main([str(tmp_path / "bag"), "-o", str(tmp_path / "out")]) == 0
+    (labels,) = read_labels(BagReader(tmp_path / "out"), LABELS_TOPIC)
+    assert labels.stamp == -STEP
+
+
 def test_overlay_strip_is_drawn_on_request(bag: Path, tmp_path: Path) -> None:
     overlay = tmp_path / "pictures" / "strip.png"
     replay.main([str(bag), "-o", str(tmp_path / "out"), "--overlay", str(overlay)])

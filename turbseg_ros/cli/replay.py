@@ -41,9 +41,10 @@ class ResultWriter:
         for moving_object in result.objects:
             if moving_object.slot >= 0 and moving_object.slot not in self._slots:
                 self._slots[moving_object.slot] = slot_output(moving_object.slot)
+        # A camera's clock may be set before the epoch, a bag's time can't.
+        recorded_at = max(result.frame.stamp, 0)
         for output in (*self._outputs, *self._slots.values()):
-            message = output.build(result)
-            self._bag.write(f"{_NODE}/{output.name}", message, result.frame.stamp)
+            self._bag.write(f"{_NODE}/{output.name}", output.build(result), recorded_at)
 
 
 @executable("turbseg_replay")
