@@ -112,6 +112,9 @@ def _van(_phase: float, paint: Colour) -> list[Part]:
         Part(((0.66, 0.235), (0.66, 0.36), (0.745, 0.36), (0.845, 0.245), (0.84, 0.235)),
              _GLASS, 0.2),
         Part(_box(0.4, 0.24, 0.62, 0.35), _shade(_GLASS, 1.3), 0.22),
+        *[Part(_box(x, 0.09, x + 0.008, 0.385), _shade(paint, 0.7), 0.38)
+          for x in (0.13, 0.37, 0.64)],
+        Part(_box(0.01, 0.16, 0.84, 0.18), _shade(paint, 0.55), 0.4),
         Part(((0.87, 0.25), (0.98, 0.2), (0.98, 0.17), (0.87, 0.2)), _shade(paint, 1.2), 0.9),
         Part(_box(0.0, 0.16, 0.02, 0.25), _TAIL_LAMP, 0.4),
         Part(_box(0.955, 0.15, 0.99, 0.18), _LAMP, 0.6),
@@ -441,7 +444,8 @@ class Sprite:
             return None
         x, y = to_image @ (pose.x, pose.y, 1.0)
         half = self._kind.footprint * self._object.size / 2
-        return float(x), float(y), half, max(0.12 * half, 1.0)
+        depth = max(0.05 * half, 0.7)  # seen at a grazing angle, as a long lens does
+        return float(x), float(y) - 0.5 * depth, half, depth
 
 
 @dataclass(frozen=True)

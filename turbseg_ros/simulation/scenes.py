@@ -57,7 +57,7 @@ def _drive(x: float, y: float, velocity: float, frames: int = 75) -> Path:
     return Path(((0, x, y), (frames, x + velocity * frames, y)))
 
 
-_WHITE: Colour = (0.82, 0.83, 0.83)
+_WHITE: Colour = (0.7, 0.71, 0.71)
 _BLACK: Colour = (0.13, 0.12, 0.12)
 _BLUE: Colour = (0.55, 0.3, 0.16)
 _RED: Colour = (0.16, 0.15, 0.58)
@@ -85,7 +85,7 @@ _SMALL: tuple[Scene, ...] = (
         "town",
         _HAZE,
         (
-            SceneObject(2, "van", 70, _drive(425, 169, -2.0), _WHITE),
+            SceneObject(2, "van", 70, _drive(425, 169, -2.8), _WHITE),
             SceneObject(1, "sedan", 66, _drive(75, 197, 3.2), _BLACK),
         ),
         sensor=_SMALL_SENSOR, width=512, height=288, frames=52,
