@@ -10,16 +10,16 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from turbseg_ros.ros.messages import Output
 from turbseg_ros.segmentation.frame import SegmentationResult
 
-# Reliable, which every subscription accepts; results that a slow listener may catch up on.
-_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
-
 
 class ResultPublisher:
-    """Publishes each result on the topics of `outputs`, below the node's name."""
+    """Publishes each result on the topics of `outputs`, below the node's name.
+
+    Reliably, which every subscription accepts, and so deep that a slow listener may catch up.
+    """
 
     def __init__(self, node: Node, outputs: Iterable[Output]) -> None:
         self._publishers = [
-            (output, node.create_publisher(output.type, f"~/{output.name}", _QOS))
+            (output, node.create_publisher(output.type, f"~/{output.name}", _qos(output)))
             for output in outputs
         ]
 
@@ -29,3 +29,7 @@ class ResultPublisher:
             if output.on_demand and not publisher.get_subscription_count():
                 continue
             publisher.publish(output.build(result))
+
+
+def _qos(output: Output) -> QoSProfile:
+    return QoSProfile(depth=output.depth, reliability=ReliabilityPolicy.RELIABLE)
