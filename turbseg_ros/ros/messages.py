@@ -249,14 +249,15 @@ class _MarkerBrush:
 class Output:
     """One topic of results: its name below the node's, its type and how a message is built.
 
-    What is `on_demand` costs much for what it is mostly used for: build it while someone listens.
-    `depth` is how many messages a publisher keeps for subscribers that missed one.
+    A `stateful` output's messages tell what changed since the one before, so that every one has to
+    be built; of the others, only those that someone wants. `depth` is how many messages a
+    publisher keeps for subscribers that missed one.
     """
 
     name: str
     type: type[Any]
     build: Callable[[SegmentationResult], Any]
-    on_demand: bool = False
+    stateful: bool = False
     depth: int = 10
 
 
@@ -265,7 +266,7 @@ def outputs(max_objects: int, markers: CentroidMarkers) -> tuple[Output, ...]:
     return (
         Output("labels", Image, labels_message),
         Output("mask", Image, mask_message),
-        Output("centroids", MarkerArray, markers.message, depth=_SMALL_DEPTH),
+        Output("centroids", MarkerArray, markers.message, stateful=True, depth=_SMALL_DEPTH),
         Output("annotations", ImageMarker, annotations_message, depth=_SMALL_DEPTH),
         *map(slot_output, range(max_objects)),
     )
@@ -274,13 +275,13 @@ def outputs(max_objects: int, markers: CentroidMarkers) -> tuple[Output, ...]:
 def slot_output(slot: int) -> Output:
     """Give the topic of the mask of the object that holds a slot."""
     build = functools.partial(slot_mask_message, slot=slot)
-    return Output(f"objects/slot_{slot}/mask", Image, build, on_demand=True)
+    return Output(f"objects/slot_{slot}/mask", Image, build)
 
 
 # Topics for people to look at.
 VIEWS = (
-    Output("overlay", Image, overlay_message, on_demand=True),
-    Output("motion", Image, motion_message, on_demand=True),
+    Output("overlay", Image, overlay_message),
+    Output("motion", Image, motion_message),
 )
 
 

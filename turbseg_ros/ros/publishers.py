@@ -24,11 +24,10 @@ class ResultPublisher:
         ]
 
     def publish(self, result: SegmentationResult) -> None:
-        """Publish one result; what is made on demand only where someone listens."""
+        """Publish one result where someone listens; what is stateful, in any case."""
         for output, publisher in self._publishers:
-            if output.on_demand and not publisher.get_subscription_count():
-                continue
-            publisher.publish(output.build(result))
+            if output.stateful or publisher.get_subscription_count():
+                publisher.publish(output.build(result))
 
 
 def _qos(output: Output) -> QoSProfile:

@@ -1,0 +1,72 @@
+"""What is published for whom."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from node_harness import Probe
+from std_msgs.msg import String
+
+from turbseg_ros.ros.messages import CentroidMarkers, Output, outputs
+from turbseg_ros.ros.publishers import ResultPublisher
+from turbseg_ros.segmentation.frame import Frame, SegmentationResult
+
+
+@pytest.fixture
+def probe() -> Iterator[Probe]:
+    with Probe() as probe:
+        yield probe
+
+
+def result(stamp: int) -> SegmentationResult:
+    labels = np.zeros((4, 5), np.uint16)
+    frame = Frame(stamp, np.zeros((4, 5), np.uint8))
+    return SegmentationResult(frame, labels, (), np.zeros((4, 5), np.float32), 0.0, "none")
+
+
+class Counter:
+    """Builds messages that tell how many results it was given."""
+
+    def __init__(self) -> None:
+        self.built = 0
+
+    def __call__(self, result: SegmentationResult) -> String:
+        self.built += 1
+        return String(data=f"{self.built} at {result.frame.stamp}")
+
+
+def test_only_what_is_heard_or_stateful_is_built(probe):
+    heard, unheard, stateful = Counter(), Counter(), Counter()
+    publisher = ResultPublisher(
+        probe.node,
+        [
+            Output("heard", String, heard),
+            Output("unheard", String, unheard),
+            Output("stateful", String, stateful, stateful=True),
+        ],
+    )
+    publisher.publish(result(1))
+    assert (heard.built, unheard.built, stateful.built) == (0, 0, 1)
+    messages = probe.listen("/probe/heard", String)
+    publishers = {publisher.topic_name: publisher for publisher in probe.node.publishers}
+    probe.wait_for(publishers["/probe/heard"].get_subscription_count, "the listener")
+    publisher.publish(result(2))
+    publisher.publish(result(3))
+    assert (heard.built, unheard.built, stateful.built) == (2, 0, 3)
+    probe.wait_for(lambda: len(messages) == 2, "both messages")
+    assert [message.data for message in messages] == ["1 at 2", "2 at 3"]
+
+
+def test_markers_are_deleted_for_listeners_that_come_later():
+    stateful = {output.name for output in outputs(2, CentroidMarkers()) if output.stateful}
+    assert stateful == {"centroids"}
+
+
+def test_each_topic_keeps_as_many_messages_as_its_output_says(probe):
+    topics = outputs(1, CentroidMarkers())
+    ResultPublisher(probe.node, topics)
+    depths = {item.topic_name: item.qos_profile.depth for item in probe.node.publishers}
+    assert {f"/probe/{output.name}": output.depth for output in topics}.items() <= depths.items()
+    assert depths["/probe/centroids"] > depths["/probe/labels"]
