@@ -12,6 +12,7 @@ from sensor_msgs.msg import CompressedImage, Image
 
 from turbseg_ros.ros.image_conversion import (
     ImageConversionError,
+    frame_from_message,
     image_from_message,
     message_from_image,
     ns_to_stamp,
@@ -240,3 +241,10 @@ def test_any_message_gives_an_image_of_its_size_or_a_refusal(
 def test_an_array_is_not_stored_under_an_encoding_it_does_not_have(image, encoding):
     with pytest.raises(ValueError, match="does not store"):
         message_from_image(image, encoding, 0)
+
+
+def test_a_frame_has_its_message_stamp_frame_id_and_image():
+    image = np.arange(12, dtype=np.uint8).reshape(3, 4)
+    frame = frame_from_message(message_from_image(image, "mono8", -7, "camera"))
+    assert (frame.stamp, frame.frame_id) == (-7, "camera")
+    np.testing.assert_array_equal(frame.image, image)

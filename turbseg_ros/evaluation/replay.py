@@ -8,11 +8,7 @@ from typing import Protocol
 
 from turbseg_ros.bag.errors import BagError
 from turbseg_ros.bag.reader import BagReader, Record
-from turbseg_ros.ros.image_conversion import (
-    ImageConversionError,
-    image_from_message,
-    stamp_to_ns,
-)
+from turbseg_ros.ros.image_conversion import ImageConversionError, frame_from_message
 from turbseg_ros.segmentation.frame import Frame, SegmentationResult
 
 _LOGGER = logging.getLogger(__name__)
@@ -52,14 +48,11 @@ class BagFrames:
 
     def _frame(self, number: int, record: Record) -> Frame | None:
         try:
-            message = record.message()
-            image = image_from_message(message)
+            return frame_from_message(record.message())
         except (BagError, ImageConversionError) as error:
             self.skipped += 1
             _LOGGER.warning("image %d of %s skipped: %s", number, self._topic, error)
             return None
-        header = message.header
-        return Frame(stamp=stamp_to_ns(header.stamp), image=image, frame_id=header.frame_id)
 
 
 def segment(frames: Iterable[Frame], segmenter: Segmenter) -> Iterator[SegmentationResult]:

@@ -1,4 +1,4 @@
-"""Images between ROS messages and arrays; needs the message packages, no running middleware."""
+"""Images between ROS messages, arrays and frames; needs no running middleware."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ import numpy as np
 import numpy.typing as npt
 from builtin_interfaces.msg import Time
 from sensor_msgs.msg import CompressedImage, Image
+
+from turbseg_ros.segmentation.frame import Frame
 
 _NANOSECONDS = 1_000_000_000
 
@@ -69,6 +71,15 @@ _LAYOUTS = {
     "yuv422_yuy2": _YUYV,
     "yuyv": _YUYV,
 }
+
+
+def frame_from_message(message: Image | CompressedImage) -> Frame:
+    """Give the frame that a camera's message holds, as the method takes it.
+
+    :raises ImageConversionError: as `image_from_message`.
+    """
+    header = message.header
+    return Frame(stamp_to_ns(header.stamp), image_from_message(message), header.frame_id)
 
 
 def image_from_message(message: Image | CompressedImage) -> npt.NDArray[Any]:

@@ -15,13 +15,12 @@ from std_srvs.srv import SetBool, Trigger
 
 from turbseg_ros.parameters import Parameters
 from turbseg_ros.ros.diagnostics import Event, NodeState, Statistics, status_message
-from turbseg_ros.ros.image_conversion import image_from_message, stamp_to_ns
+from turbseg_ros.ros.image_conversion import frame_from_message
 from turbseg_ros.ros.messages import VIEWS, CentroidMarkers, UnitDepthPlane, outputs
 from turbseg_ros.ros.parameters import ParameterHandler
 from turbseg_ros.ros.publishers import ResultPublisher
 from turbseg_ros.ros.subscription import MatchingSubscription
 from turbseg_ros.ros.worker import SegmentationWorker
-from turbseg_ros.segmentation.frame import Frame
 from turbseg_ros.segmentation.pipeline import MotionSegmenter
 
 _DIAGNOSTICS_PERIOD = 1.0
@@ -157,12 +156,3 @@ class TurbsegNode(Node):  # type: ignore[misc]  # rclpy is read as untyped
             look_ahead=self._segmenter.look_ahead,
             waiting=self._worker.waiting,
         )
-
-
-def frame_from_message(message: Image | CompressedImage) -> Frame:
-    """Give the frame of an image message.
-
-    :raises ImageConversionError: when it holds no image that can be read.
-    """
-    header = message.header
-    return Frame(stamp_to_ns(header.stamp), image_from_message(message), header.frame_id)
