@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 
 from turbseg_ros.bag.reader import BagReader
+from turbseg_ros.bag.topics import TRUTH_TOPIC
 from turbseg_ros.bag.writer import BagWriter
 from turbseg_ros.cli import demo, processes
 from turbseg_ros.cli.processes import ProcessError, python_process
-from turbseg_ros.evaluation.labels import TRUTH_TOPIC
 from turbseg_ros.ros.image_conversion import message_from_image
 
 Start = Callable[..., subprocess.Popen[str]]

@@ -14,19 +14,19 @@ from sensor_msgs.msg import Image
 
 from turbseg_ros.bag.errors import BagError
 from turbseg_ros.bag.reader import BagReader
+from turbseg_ros.bag.topics import IMAGE_TOPIC, TRUTH_TOPIC
 from turbseg_ros.bag.writer import BagWriter
 from turbseg_ros.evaluation.evaluate import (
     EvaluationError,
     evaluate_labels,
     evaluate_segmenter,
 )
-from turbseg_ros.evaluation.labels import TRUTH_TOPIC, LabelsByStamp, StampedLabels, read_labels
+from turbseg_ros.evaluation.labels import LabelsByStamp, StampedLabels, read_labels
 from turbseg_ros.evaluation.replay import BagFrames, segment
 from turbseg_ros.ros.image_conversion import message_from_image
 from turbseg_ros.segmentation.frame import Frame, SegmentationResult
 
 MILLISECOND = 1_000_000
-IMAGE_TOPIC = "/camera/image_raw"
 
 
 class BrightAreas:

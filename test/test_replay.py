@@ -13,9 +13,10 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 from turbseg_ros.bag.reader import BagReader
+from turbseg_ros.bag.topics import IMAGE_TOPIC, LABELS_TOPIC, TRUTH_TOPIC
 from turbseg_ros.bag.writer import BagWriter
 from turbseg_ros.cli import evaluate, replay
-from turbseg_ros.evaluation.labels import LABELS_TOPIC, TRUTH_TOPIC, read_labels
+from turbseg_ros.evaluation.labels import read_labels
 from turbseg_ros.parameters import Parameters
 from turbseg_ros.ros.image_conversion import message_from_image
 from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResult
@@ -23,7 +24,6 @@ from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResu
 SIZE = (60, 90)
 STEP = 33_000_000
 START = 1_700_000_000_000_000_000
-IMAGE_TOPIC = "/camera/image_raw"
 
 
 class SquareFinder:

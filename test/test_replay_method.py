@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from turbseg_ros.bag.reader import BagReader
+from turbseg_ros.bag.topics import LABELS_TOPIC, TRUTH_TOPIC
 from turbseg_ros.bag.writer import BagWriter
 from turbseg_ros.cli import evaluate, replay
-from turbseg_ros.evaluation.labels import LABELS_TOPIC, TRUTH_TOPIC, read_labels
+from turbseg_ros.evaluation.labels import read_labels
 from turbseg_ros.ros.image_conversion import message_from_image
 
 FRAMES = 20

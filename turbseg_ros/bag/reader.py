@@ -24,9 +24,9 @@ from rclpy.serialization import deserialize_message
 from turbseg_ros.bag import qos as qos_format
 from turbseg_ros.bag.errors import BagError
 from turbseg_ros.bag.schema import message_class
+from turbseg_ros.bag.topics import TRUTH_NAMESPACE
 
 _IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
-_TRUTH_NAMESPACE = "ground_truth"
 
 # What the MCAP library raises on damaged content.
 _DAMAGE = (
@@ -57,7 +57,7 @@ class Topic:
     @property
     def is_truth(self) -> bool:
         """Whether it is ground truth to score against, not input."""
-        return _TRUTH_NAMESPACE in self.name.split("/")
+        return TRUTH_NAMESPACE in self.name.split("/")
 
 
 @dataclass(frozen=True, slots=True)

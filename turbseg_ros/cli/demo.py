@@ -23,13 +23,12 @@ from rclpy.signals import SignalHandlerOptions
 from tqdm import tqdm
 
 from turbseg_ros.bag.reader import BagReader
+from turbseg_ros.bag.topics import LABELS_TOPIC, RESULT_NAMESPACE, TRUTH_TOPIC
 from turbseg_ros.bag.writer import BagWriter
 from turbseg_ros.cli.errors import UsageError, executable
 from turbseg_ros.cli.processes import ProcessError, PythonProcess, SignalWatch, python_process
 from turbseg_ros.evaluation.evaluate import EvaluationError, evaluate_labels
 from turbseg_ros.evaluation.labels import (
-    LABELS_TOPIC,
-    TRUTH_TOPIC,
     LabelsByStamp,
     StampedLabels,
     read_labels,
@@ -146,7 +145,7 @@ def _record_live(source: BagReader, image_topic: str, products: _Products) -> No
     ):
         # Slot masks say nothing that the labels don't.
         results = outputs(0, CentroidMarkers())
-        topics = {f"/turbseg/{output.name}": output.type for output in results}
+        topics = {f"{RESULT_NAMESPACE}/{output.name}": output.type for output in results}
         recorder = Recorder(bag, {**topics, "/diagnostics": DiagnosticArray})
         _await_publishers(recorder, functools.partial(_step, recorder, signals, [node]))
         with python_process("turbseg_ros.cli.play", play_arguments, play_log) as play:

@@ -19,10 +19,10 @@ from turbseg_ros.bag.clip import (
 )
 from turbseg_ros.bag.errors import ClipError
 from turbseg_ros.bag.masks import Labels, mask_meaning
+from turbseg_ros.bag.topics import IMAGE_TOPIC, TRUTH_TOPIC
 from turbseg_ros.bag.writer import BagWriter
 from turbseg_ros.cli.arguments import positive_number
 from turbseg_ros.cli.errors import UsageError, executable
-from turbseg_ros.evaluation.labels import TRUTH_TOPIC
 from turbseg_ros.ros.image_conversion import message_from_image
 
 _FRAME_ID = "camera"
@@ -129,7 +129,7 @@ def _parser() -> argparse.ArgumentParser:
         metavar="HZ",
         help=f"frame rate (default: the video's own; {_FOLDER_RATE:g} for folders)",
     )
-    parser.add_argument("--topic", default="/camera/image_raw", help="default: %(default)s")
+    parser.add_argument("--topic", default=IMAGE_TOPIC, help="default: %(default)s")
     return parser
 
 

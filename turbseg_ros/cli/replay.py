@@ -9,6 +9,7 @@ from pathlib import Path
 
 from turbseg_ros.bag.errors import BagError
 from turbseg_ros.bag.reader import BagReader
+from turbseg_ros.bag.topics import RESULT_NAMESPACE
 from turbseg_ros.bag.writer import BagWriter
 from turbseg_ros.cli.errors import executable
 from turbseg_ros.cli.options import add_parameter_options, parameters_from, with_progress
@@ -17,9 +18,6 @@ from turbseg_ros.evaluation.replay import BagFrames, segment
 from turbseg_ros.ros.messages import CentroidMarkers, Output, outputs, slot_output
 from turbseg_ros.segmentation.frame import SegmentationResult
 from turbseg_ros.segmentation.pipeline import MotionSegmenter
-
-# Name of the node whose topics the results are written to.
-_NODE = "/turbseg"
 
 
 class ResultWriter:
@@ -44,7 +42,7 @@ class ResultWriter:
         # A camera's clock may be set before the epoch, a bag's time can't.
         recorded_at = max(result.frame.stamp, 0)
         for output in (*self._outputs, *self._slots.values()):
-            self._bag.write(f"{_NODE}/{output.name}", output.build(result), recorded_at)
+            self._bag.write(f"{RESULT_NAMESPACE}/{output.name}", output.build(result), recorded_at)
 
 
 @executable("turbseg_replay")

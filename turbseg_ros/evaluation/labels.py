@@ -12,6 +12,8 @@ import numpy.typing as npt
 
 from turbseg_ros.bag.errors import BagError
 from turbseg_ros.bag.reader import BagReader
+from turbseg_ros.bag.topics import LABELS_TOPIC as LABELS_TOPIC
+from turbseg_ros.bag.topics import TRUTH_TOPIC as TRUTH_TOPIC
 from turbseg_ros.evaluation.metrics import Labels
 from turbseg_ros.ros.image_conversion import (
     ImageConversionError,
@@ -19,9 +21,6 @@ from turbseg_ros.ros.image_conversion import (
     stamp_to_ns,
 )
 from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResult
-
-TRUTH_TOPIC = "/ground_truth/labels"
-LABELS_TOPIC = "/turbseg/labels"
 
 
 @dataclass(frozen=True)
