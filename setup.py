@@ -1,12 +1,17 @@
 """Build of the turbseg_ros package, by pip and by colcon alike."""
 
-from glob import glob
+from pathlib import Path
 
 from setuptools import find_packages, setup
 
 PACKAGE = "turbseg_ros"
 
 EXECUTABLES = ("node", "play", "replay", "evaluate", "simulate", "import")
+
+
+def _files(folder: str) -> list[str]:
+    return sorted(str(path) for path in Path(folder).iterdir() if path.is_file())
+
 
 setup(
     name=PACKAGE,
@@ -16,13 +21,15 @@ setup(
     maintainer="turbseg_ros maintainers",
     maintainer_email="maintainers@turbseg-ros.invalid",
     license="Apache-2.0",
-    packages=find_packages(exclude=["test", "test.*"]),
+    # Said aloud, so that an editable installation is a plain path, which type checkers follow too.
+    package_dir={"": "."},
+    packages=find_packages(include=[f"{PACKAGE}*"]),
     package_data={PACKAGE: ["py.typed"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
-        (f"share/{PACKAGE}/config", sorted(glob("config/*"))),
-        (f"share/{PACKAGE}/launch", sorted(glob("launch/*.launch.py"))),
+        (f"share/{PACKAGE}/config", _files("config")),
+        (f"share/{PACKAGE}/launch", _files("launch")),
     ],
     python_requires=">=3.10",
     install_requires=["setuptools", "numpy", "scipy", "PyYAML", "tqdm"],
@@ -41,7 +48,8 @@ setup(
         "lint": ["ruff", "mypy", "types-PyYAML", "types-tqdm", "scipy-stubs"],
         "colcon": ["colcon-common-extensions"],
     },
-    zip_safe=True,
+    # Type checkers look for py.typed in a folder.
+    zip_safe=False,
     entry_points={
         "console_scripts": [
             f"turbseg_{name} = {PACKAGE}.cli.{'import_' if name == 'import' else name}:main"
