@@ -52,7 +52,7 @@ setup(
     zip_safe=False,
     entry_points={
         "console_scripts": [
-            f"turbseg_{name} = {PACKAGE}.cli.{'import_' if name == 'import' else name}:main"
+            f"turbseg_{name} = {PACKAGE}.cli.__main__:{'import_' if name == 'import' else name}"
             for name in EXECUTABLES
         ],
     },

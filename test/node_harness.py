@@ -37,7 +37,7 @@ class NodeProcess:
         self,
         output: Path,
         *ros_arguments: str,
-        command: Iterable[str] = (sys.executable, "-m", "turbseg_ros.cli.node"),
+        command: Iterable[str] = (sys.executable, "-m", "turbseg_ros.cli", "node"),
         directory: Path | None = None,
     ) -> None:
         self._output = output

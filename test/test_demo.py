@@ -18,7 +18,7 @@ from turbseg_ros.bag.reader import BagReader
 from turbseg_ros.bag.topics import TRUTH_TOPIC
 from turbseg_ros.bag.writer import BagWriter
 from turbseg_ros.cli import demo, processes
-from turbseg_ros.cli.processes import ProcessError, python_process
+from turbseg_ros.cli.processes import ProcessError, child_process, executable_process
 from turbseg_ros.ros.image_conversion import message_from_image
 
 Start = Callable[..., subprocess.Popen[str]]
@@ -76,7 +76,7 @@ def start(bag: Path, out: Path) -> Iterator[Start]:
     started: list[subprocess.Popen[str]] = []
 
     def start(*arguments: str) -> subprocess.Popen[str]:
-        command = [sys.executable, "-m", "turbseg_ros.cli.demo", "--bag", bag, "--out", out]
+        command = [sys.executable, "-m", "turbseg_ros.cli", "demo", "--bag", bag, "--out", out]
         pipe = subprocess.PIPE
         started.append(
             subprocess.Popen([*command, *arguments], stdout=pipe, stderr=pipe, text=True)
@@ -120,13 +120,13 @@ def test_a_score_below_the_minimum_fails_in_one_line(start: Start) -> None:
 
 
 @pytest.mark.timeout(180)
-@pytest.mark.parametrize("module", ["turbseg_ros.cli.node", "turbseg_ros.cli.play"])
+@pytest.mark.parametrize("name", ["node", "play"])
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_all_processes(
-    module: str, number: signal.Signals, start: Start, out: Path
+    name: str, number: signal.Signals, start: Start, out: Path
 ) -> None:
     process = start()
-    wait_for(lambda: any(module in command for command in processes_of(out)))
+    wait_for(lambda: any(f"turbseg_ros.cli {name}" in command for command in processes_of(out)))
     process.send_signal(number)
     process.send_signal(number)
     _, errors = process.communicate(timeout=60)
@@ -147,25 +147,24 @@ def test_an_output_that_is_no_bag_is_not_removed(
 
 def test_a_process_that_fails_is_told_with_its_last_words(tmp_path: Path) -> None:
     missing, log = tmp_path / "missing", tmp_path / "log.txt"
-    with python_process("turbseg_ros.cli.play", [str(missing)], log) as play:
+    with executable_process("play", [str(missing)], log) as play:
         play.process.wait(60)
-        with pytest.raises(ProcessError, match=r"play ended with status 2: .*no such bag"):
+        with pytest.raises(ProcessError, match=r"turbseg_play ended with status 2: .*no such bag"):
             play.check()
 
 
 def test_a_process_that_ignores_being_asked_is_killed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (tmp_path / "stubborn.py").write_text(
+    stubbornly = (
         "import signal, time\n"
         "signal.signal(signal.SIGINT, signal.SIG_IGN)\n"
         "print('ready', flush=True)\n"
         "time.sleep(100)\n"
     )
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     monkeypatch.setattr(processes, "_STOP_LIMIT", 0.3)
     log = tmp_path / "log.txt"
-    with python_process("stubborn", [], log) as stubborn:
+    with child_process("stubborn", [sys.executable, "-c", stubbornly], log) as stubborn:
         wait_for(lambda: "ready" in log.read_text())
         stubborn.check()
     assert stubborn.process.returncode == -signal.SIGKILL

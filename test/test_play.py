@@ -103,7 +103,7 @@ def play(bag) -> Iterator[Callable[..., subprocess.Popen[str]]]:
     started: list[subprocess.Popen[str]] = []
 
     def start(*arguments: str) -> subprocess.Popen[str]:
-        command = [sys.executable, "-m", "turbseg_ros.cli.play", str(bag), *arguments]
+        command = [sys.executable, "-m", "turbseg_ros.cli", "play", str(bag), *arguments]
         process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
         started.append(process)
         return process

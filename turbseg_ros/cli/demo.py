@@ -1,6 +1,6 @@
 """The demonstration: a bag through the live node over DDS, recorded, scored and drawn.
 
-Run as `python -m turbseg_ros.cli.demo`. It stays on this machine, in a ROS domain of its own.
+Run as `python -m turbseg_ros.cli demo`. It stays on this machine, in a ROS domain of its own.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from turbseg_ros.bag.reader import BagReader
 from turbseg_ros.bag.topics import LABELS_TOPIC, RESULT_NAMESPACE, TRUTH_TOPIC
 from turbseg_ros.bag.writer import BagWriter
 from turbseg_ros.cli.errors import UsageError, executable
-from turbseg_ros.cli.processes import ProcessError, PythonProcess, SignalWatch, python_process
+from turbseg_ros.cli.processes import ChildProcess, ProcessError, SignalWatch, executable_process
 from turbseg_ros.evaluation.evaluate import EvaluationError, evaluate_labels
 from turbseg_ros.evaluation.labels import (
     LabelsByStamp,
@@ -139,7 +139,7 @@ def _record_live(source: BagReader, image_topic: str, products: _Products) -> No
     play_arguments = [str(source.path), "--topics", image_topic, "--wait", str(_START_LIMIT)]
     with (
         SignalWatch() as signals,
-        python_process("turbseg_ros.cli.node", node_arguments, node_log) as node,
+        executable_process("node", node_arguments, node_log) as node,
         BagWriter(products.bag) as bag,
         _ros_context(),
     ):
@@ -148,7 +148,7 @@ def _record_live(source: BagReader, image_topic: str, products: _Products) -> No
         topics = {f"{RESULT_NAMESPACE}/{output.name}": output.type for output in results}
         recorder = Recorder(bag, {**topics, "/diagnostics": DiagnosticArray})
         _await_publishers(recorder, functools.partial(_step, recorder, signals, [node]))
-        with python_process("turbseg_ros.cli.play", play_arguments, play_log) as play:
+        with executable_process("play", play_arguments, play_log) as play:
             step = functools.partial(_step, recorder, signals, [node, play])
             _await_results(recorder, topics, source.topics[image_topic].message_count, step)
         if not recorder.received(LABELS_TOPIC):
@@ -164,7 +164,7 @@ def _ros_context() -> Iterator[None]:
         rclpy.try_shutdown()
 
 
-def _step(recorder: Recorder, signals: SignalWatch, processes: Iterable[PythonProcess]) -> None:
+def _step(recorder: Recorder, signals: SignalWatch, processes: Iterable[ChildProcess]) -> None:
     """Record for a moment, if all is still well."""
     signals.check()
     for process in processes:

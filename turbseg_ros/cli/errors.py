@@ -1,6 +1,6 @@
 """How the executables end: what their user did wrong is one line, never a traceback.
 
-This module imports nothing slow, so that an executable answers signals from its first moment.
+This module imports nothing that starts threads: the node has to block signals before.
 """
 
 from __future__ import annotations

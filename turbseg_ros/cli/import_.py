@@ -131,7 +131,3 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--topic", default=IMAGE_TOPIC, help="default: %(default)s")
     return parser
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

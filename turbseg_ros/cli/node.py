@@ -72,7 +72,3 @@ def _run() -> None:
 def _shut_down_on_signal(executor: Executor) -> None:
     signal.sigwait(_STOP_SIGNALS)
     executor.create_task(executor.shutdown)
-
-
-if __name__ == "__main__":
-    sys.exit(main(None))

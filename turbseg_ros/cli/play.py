@@ -7,13 +7,15 @@ import contextlib
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+import rclpy
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
+
+from turbseg_ros.bag.player import Player, Timeline
+from turbseg_ros.bag.reader import BagReader
 from turbseg_ros.cli.arguments import positive_count, positive_number
 from turbseg_ros.cli.errors import Interrupted, UsageError, executable
-
-if TYPE_CHECKING:
-    from turbseg_ros.bag.player import Player
 
 # How long subscribers may take to acknowledge the last messages, in seconds.
 _ACKNOWLEDGEMENT = 10.0
@@ -29,14 +31,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(command: Sequence[str]) -> None:
-    # Imported here, where signals are handled already: rclpy takes its time.
-    import rclpy
-    from rclpy.signals import SignalHandlerOptions
-    from rclpy.utilities import remove_ros_args
-
-    from turbseg_ros.bag.player import Player, Timeline
-    from turbseg_ros.bag.reader import BagReader
-
     try:
         options = _parser().parse_args(remove_ros_args(command)[1:])
         reader = BagReader(options.bag)
@@ -105,7 +99,3 @@ def _parser() -> argparse.ArgumentParser:
         help="how many --wait waits for (default: 1)",
     )
     return parser
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

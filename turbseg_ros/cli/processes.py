@@ -57,10 +57,10 @@ class SignalWatch:
 
 
 @dataclass(frozen=True)
-class PythonProcess:
-    """A Python module that runs as a process of its own; what it prints goes to `log`."""
+class ChildProcess:
+    """A process called `name`; what it prints goes to `log`."""
 
-    module: str
+    name: str
     process: subprocess.Popen[bytes]
     log: Path
 
@@ -73,12 +73,20 @@ class PythonProcess:
         if status:
             printed = self.log.read_text(errors="replace").splitlines()
             last = next((line for line in reversed(printed) if line.strip()), "it printed nothing")
-            raise ProcessError(f"{self.module} ended with status {status}: {last}")
+            raise ProcessError(f"{self.name} ended with status {status}: {last}")
+
+
+def executable_process(
+    name: str, arguments: Sequence[str], log: Path
+) -> contextlib.AbstractContextManager[ChildProcess]:
+    """Run an executable of this package as `child_process`; `name` is without `turbseg_`."""
+    command = [sys.executable, "-m", "turbseg_ros.cli", name, *arguments]
+    return child_process(f"turbseg_{name}", command, log)
 
 
 @contextlib.contextmanager
-def python_process(module: str, arguments: Sequence[str], log: Path) -> Iterator[PythonProcess]:
-    """Run `python -m module arguments` for the time of a `with` statement.
+def child_process(name: str, command: Sequence[str], log: Path) -> Iterator[ChildProcess]:
+    """Run a command for the time of a `with` statement.
 
     At its end the process gets SIGINT and, when that doesn't help, SIGKILL. It has a session of
     its own, so that a terminal's Ctrl-C reaches it by this way only. Use it under a SignalWatch:
@@ -86,14 +94,14 @@ def python_process(module: str, arguments: Sequence[str], log: Path) -> Iterator
     """
     with log.open("wb") as output:
         process = subprocess.Popen(
-            [sys.executable, "-m", module, *arguments],
+            command,
             stdin=subprocess.DEVNULL,
             stdout=output,
             stderr=subprocess.STDOUT,
             start_new_session=True,
         )
     try:
-        yield PythonProcess(module, process, log)
+        yield ChildProcess(name, process, log)
     finally:
         for number in (signal.SIGINT, signal.SIGKILL):
             if process.poll() is None:

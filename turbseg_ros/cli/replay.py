@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -89,7 +88,3 @@ def _parser() -> argparse.ArgumentParser:
     )
     add_parameter_options(parser)
     return parser
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,0 +1,54 @@
+"""Starts the executables: as `turbseg_NAME`, or by `python -m turbseg_ros.cli NAME`.
+
+Their modules take a second or two to load. A Ctrl-C meanwhile just ends the process, for there is
+nothing to clean up yet; that is why this module itself loads nothing slow.
+"""
+
+from __future__ import annotations
+
+import importlib
+import signal
+import sys
+from collections.abc import Callable
+
+
+def _starter(module: str) -> Callable[[], int]:
+    def start() -> int:
+        # Python's own handler would end in a traceback.
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+        status: int = importlib.import_module(f"turbseg_ros.cli.{module}").main()
+        return status
+
+    return start
+
+
+node = _starter("node")
+play = _starter("play")
+replay = _starter("replay")
+evaluate = _starter("evaluate")
+simulate = _starter("simulate")
+import_ = _starter("import_")
+demo = _starter("demo")
+
+_STARTERS = {
+    "node": node,
+    "play": play,
+    "replay": replay,
+    "evaluate": evaluate,
+    "simulate": simulate,
+    "import": import_,
+    "demo": demo,
+}
+
+
+def main() -> int:
+    """Run the executable that the first argument names; give its exit status."""
+    name = sys.argv.pop(1) if len(sys.argv) > 1 else ""
+    if name not in _STARTERS:
+        print(f"usage: python -m turbseg_ros.cli {{{','.join(_STARTERS)}}} ...", file=sys.stderr)
+        return 2
+    return _STARTERS[name]()
+
+
+if __name__ == "__main__":
+    sys.exit(main())
