@@ -350,6 +350,7 @@ def test_signals_while_it_starts_end_it_well(tmp_path, probe, number, delay):
     [
         (("-p", "flow.interval:=99"), "parameter flow.interval lies between 1 and 16, not at 99"),
         (("-p", "image_transport:=avi"), "parameter image_transport is one of raw, compressed"),
+        (("-p", "tracking.mode:=kmeans"), "set -p tracking.mode:=kalman, or segment a recorded"),
         (("--params-file", "missing.yaml"), "missing.yaml"),
         (("--nonsense",), "--nonsense"),
     ],

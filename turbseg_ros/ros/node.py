@@ -13,7 +13,7 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_srvs.srv import SetBool, Trigger
 
-from turbseg_ros.parameters import Parameters
+from turbseg_ros.parameters import ParameterError, Parameters
 from turbseg_ros.ros.diagnostics import Event, NodeState, Statistics, status_message
 from turbseg_ros.ros.image_conversion import frame_from_message
 from turbseg_ros.ros.messages import VIEWS, CentroidMarkers, UnitDepthPlane, outputs
@@ -40,13 +40,15 @@ class TurbsegNode(Node):  # type: ignore[misc]  # rclpy is read as untyped
     own name and `/diagnostics`; serves `~/reset` and `~/enable`. Callbacks only take note: images
     are segmented in a thread of their own, which `destroy_node` ends.
 
-    :raises ParameterError: when a parameter that it was started with is refused.
+    :raises ParameterError: when a parameter that it was started with is refused, or fits recorded
+        clips only.
     """
 
     def __init__(self) -> None:
         super().__init__("turbseg", automatically_declare_parameters_from_overrides=True)
         self._parameter_handler = ParameterHandler(self, on_change=self._on_parameters)
         parameters = self._parameter_handler.current
+        _refuse_whole_clip(parameters)
 
         self._statistics = Statistics()
         self._markers = CentroidMarkers()
@@ -155,4 +157,12 @@ class TurbsegNode(Node):  # type: ignore[misc]  # rclpy is read as untyped
             latency_mode=parameters.latency.mode,
             look_ahead=self._segmenter.look_ahead,
             waiting=self._worker.waiting,
+        )
+
+
+def _refuse_whole_clip(parameters: Parameters) -> None:
+    if parameters.tracking.mode == "kmeans":
+        raise ParameterError(
+            "parameter tracking.mode is kmeans, which needs the whole clip before it answers; "
+            "set -p tracking.mode:=kalman, or segment a recorded bag with turbseg_replay"
         )
