@@ -258,14 +258,14 @@ class TrackingParameters:
         read_only=True,
     )
     confirmation: int = parameter(
-        3,
+        4,
         "Frames in which something must be seen moving to become an object.",
         unit="frames",
         minimum=1,
         maximum=100,
     )
     travel: float = parameter(
-        2.0,
+        1.0,
         "Way that something must come to become an object, at outline resolution, plus twice the "
         "tilt.",
         unit="px",

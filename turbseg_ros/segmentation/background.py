@@ -21,9 +21,14 @@ Matrix = npt.NDArray[np.float64]
 
 # A pixel's background is known once so many frames have shown it.
 _FEWEST_SAMPLES = 3
+# Above every 8-bit grey value, so that pixels without a sample sort last.
 _MASKED = 256
 # Interquartile range of a normal variable, in standard deviations.
 _IQR_TO_SIGMA = 1.0 / 1.349
+# Grey values closer than this are the same, whatever the camera.
+_LEAST_NOISE = 1.5
+# Rest of the tilt, in pixels, that even a calm picture has: registration isn't perfect.
+_LEAST_TILT = 0.25
 
 
 @dataclass(frozen=True)
@@ -65,20 +70,21 @@ class Box:
 class View:
     """Another frame of the same scene: image, which pixels are objects, and where it looks.
 
-    `to_image` takes the reference frame's pixel coordinates to the image's.
+    `objects` is a mask of the image's size; `to_image` takes the reference frame's pixel
+    coordinates to the image's.
     """
 
     image: Image
-    objects: Mask | None
+    objects: Mask
     to_image: Matrix
 
 
 @dataclass(frozen=True)
 class Background:
-    """A part of the scene without its objects: hxwxC median and spread, hxw known or not.
+    """A part of the scene without its objects: median and spread of its grey values, hxwxC.
 
-    `spread` is the standard deviation of what was seen there, by the interquartile range: on
-    edges it is what tilt makes of them.
+    `known` tells, hxw, where enough views showed it free of objects; elsewhere the values mean
+    nothing. `spread` is the standard deviation of what was seen there, by the interquartile range.
     """
 
     median: Map
@@ -88,102 +94,79 @@ class Background:
 
 def background_in(box: Box, views: Sequence[View]) -> Background:
     """Estimate the background within a box of the reference frame from other views of it."""
-    samples = np.stack([_sampled(view, box) for view in views])
+    pictures, hidden = zip(*(_sampled(view, box) for view in views), strict=True)
+    obscured = np.stack(hidden)
+    samples = np.where(obscured[..., None], np.uint16(_MASKED), np.stack(pictures))
     samples.sort(axis=0)
-    count = np.count_nonzero(samples[..., :1] < _MASKED, axis=0)
-    last = np.maximum(count - 1, 0)
+    count = np.count_nonzero(~obscured, axis=0)
+    last = np.maximum(count - 1, 0)[..., None]
 
-    def quantile(numerator: int) -> npt.NDArray[np.float32]:
-        index = np.broadcast_to((last * numerator + 2) // 4, samples.shape[1:])
+    def quantile(quarters: int) -> Map:
+        index = np.broadcast_to((last * quarters + 2) // 4, samples.shape[1:])
         return np.take_along_axis(samples, index[None], axis=0)[0].astype(np.float32)
 
     return Background(
         median=quantile(2),
         spread=(quantile(3) - quantile(1)) * np.float32(_IQR_TO_SIGMA),
-        known=count[..., 0] >= _FEWEST_SAMPLES,
+        known=count >= _FEWEST_SAMPLES,
     )
 
 
-def deviation_from(background: Background, image: Image, noise: float) -> Map:
+def difference_from(background: Background, image: Image) -> Map:
+    """Give the difference in grey values of each pixel, of the channel that differs most, hxw.
+
+    :param image: hxwxC, the same part of the reference frame.
+    """
+    difference: Map = np.abs(image.astype(np.float32) - background.median).max(axis=2)
+    return difference
+
+
+def deviation_from(background: Background, image: Image, tilt: float) -> Map:
     """Give by how many standard deviations each pixel differs from the background, hxw.
 
-    The channel that differs most counts; 0 where the background is not known.
+    A pixel's variance is what was seen there, not less than what is usual in the picture, and
+    what tilt makes of the grey values' slope at it: edges shimmer, plain parts don't.
 
     :param image: hxwxC, the same part of the reference frame.
-    :param noise: standard deviation of the camera's grey values, the least to be assumed.
+    :param tilt: rms turbulent motion an axis in pixels.
     """
+    usual = (
+        float(np.median(background.spread[background.known])) if background.known.any() else 0.0
+    )
+    noise = np.maximum(background.spread, max(usual, _LEAST_NOISE))
+    shimmer = _slope(background.median) * max(tilt, _LEAST_TILT)
     difference = np.abs(image.astype(np.float32) - background.median)
-    deviation = (difference / np.maximum(background.spread, noise)).max(axis=2)
-    result: Map = np.where(background.known, deviation, 0.0).astype(np.float32)
-    return result
+    deviation: Map = (difference / np.sqrt(noise**2 + shimmer**2)).max(axis=2)
+    return deviation
 
 
-def silhouette(
-    background: Background, image: Image, moving: Mask, noise: float, threshold: float
-) -> Mask:
-    """Cut out what stands out from the background where something moves, hxw.
-
-    Where the background isn't known, motion alone decides. Edges follow those of the image by a
-    guided filter (He et al. 2013), small holes are closed, and what is enclosed belongs to it.
-
-    :param image: hxwxC, the same part of the reference frame.
-    :param moving: hxw, where motion was found: nothing outside it is taken.
-    :param noise: standard deviation of the camera's grey values.
-    :param threshold: standard deviations by which an object differs from the background.
-    """
-    deviation = np.minimum(deviation_from(background, image, noise), 4.0 * threshold)
-    score = np.clip(cv2.blur(deviation, (3, 3)) / threshold - 1.0, -1.0, 1.0)
-    score = np.where(background.known, score, np.where(moving, 0.3, -0.3)).astype(np.float32)
-    guide = image.astype(np.float32).mean(axis=2) / 255.0
-    score = guided_filter(guide, score, radius=2, epsilon=1e-3)
-    return _tidied((score > 0.0) & moving)
+def _slope(picture: Map) -> Map:
+    """Give the length of the grey values' gradient, a pixel, hxwxC."""
+    smooth = cv2.GaussianBlur(picture, (0, 0), 1.0)
+    across = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, scale=1 / 8)
+    down = cv2.Sobel(smooth, cv2.CV_32F, 0, 1, scale=1 / 8)
+    slope: Map = cv2.magnitude(across, down).reshape(picture.shape)
+    return slope
 
 
-def guided_filter(guide: Map, source: Map, radius: int, epsilon: float) -> Map:
-    """Smooth `source` along the edges of `guide` (He, Sun and Tang 2013), both HxW float32.
-
-    :param guide: grey values from 0 to 1.
-    :param epsilon: variance of the guide above which an edge is kept.
-    """
-    size = (2 * radius + 1, 2 * radius + 1)
-    mean_guide, mean_source = cv2.blur(guide, size), cv2.blur(source, size)
-    covariance = cv2.blur(guide * source, size) - mean_guide * mean_source
-    variance = cv2.blur(guide * guide, size) - mean_guide * mean_guide
-    slope = covariance / (variance + epsilon)
-    offset = mean_source - slope * mean_guide
-    smoothed: Map = cv2.blur(slope, size) * guide + cv2.blur(offset, size)
-    return smoothed
-
-
-def _sampled(view: View, box: Box) -> npt.NDArray[np.uint16]:
-    """Resample a view in a box, hxwxC; pixels of objects or out of view get _MASKED."""
+def _sampled(view: View, box: Box) -> tuple[Image, Mask]:
+    """Resample a view in a box, hxwxC; the mask, hxw, tells pixels of objects or out of view."""
     height, width = box.shape
     to_box = np.array([[1.0, 0.0, box.x0], [0.0, 1.0, box.y0], [0.0, 0.0, 1.0]])
     transform = (view.to_image @ to_box)[:2]
-    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     image = cv2.warpAffine(
-        view.image, transform, (width, height), flags=flags, borderMode=cv2.BORDER_REPLICATE
+        view.image,
+        transform,
+        (width, height),
+        flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+        borderMode=cv2.BORDER_REPLICATE,
     ).reshape(height, width, -1)
-    hidden = (
-        np.zeros(view.image.shape[:2], np.uint8)
-        if view.objects is None
-        else view.objects.astype(np.uint8)
-    )
     hidden = cv2.warpAffine(
-        hidden,
+        view.objects.astype(np.uint8),
         transform,
         (width, height),
         flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP,
         borderMode=cv2.BORDER_CONSTANT,
         borderValue=1,
     )
-    return np.where(hidden[..., None] > 0, np.uint16(_MASKED), image).astype(np.uint16)
-
-
-def _tidied(mask: Mask) -> Mask:
-    closed = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((7, 7), np.uint8))
-    outlines, _ = cv2.findContours(closed, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    filled = cv2.drawContours(np.zeros_like(closed), outlines, -1, 1, cv2.FILLED)
-    opened = cv2.morphologyEx(filled, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
-    tidy: Mask = opened > 0
-    return tidy
+    return image, hidden > 0

@@ -13,15 +13,17 @@ import numpy.typing as npt
 
 from turbseg_ros.parameters import Parameters
 from turbseg_ros.segmentation import region_growing
-from turbseg_ros.segmentation.background import (
-    Box,
-    View,
-    background_in,
-    silhouette,
-)
+from turbseg_ros.segmentation.background import Box, View
 from turbseg_ros.segmentation.flow import flows_to
 from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResult
 from turbseg_ros.segmentation.motion import MotionEstimate, affine_motion, sampson_motion
+from turbseg_ros.segmentation.region_growing import Region
+from turbseg_ros.segmentation.silhouette import (
+    MovingArea,
+    convex_hull,
+    moving_areas,
+    silhouettes,
+)
 from turbseg_ros.segmentation.stabilization import align, visible
 from turbseg_ros.segmentation.tone import ToneMap
 from turbseg_ros.segmentation.tracking import (
@@ -31,7 +33,7 @@ from turbseg_ros.segmentation.tracking import (
     ObjectTracker,
     Observation,
 )
-from turbseg_ros.segmentation.window import FrameWindow, PreparedFrame, Resolution, prepare
+from turbseg_ros.segmentation.window import FrameWindow, Resolution, prepare
 
 Mask = npt.NDArray[np.bool_]
 Matrix = npt.NDArray[np.float64]
@@ -42,10 +44,10 @@ _BORDER = 4.0
 # Smallest region, in pixels at processing resolution, and smallest outline, in detail pixels.
 _SMALLEST_REGION = 12
 _SMALLEST_OUTLINE = 12
-# Pixels around a moving region that are looked at, and by which objects are widened before what
-# is left counts as background.
-_MARGIN = 8
+# Pixels by which objects are widened before what is left counts as background.
 _GUARD = 2
+# A known object counts as resting when motion was found on less than this share of it.
+_RESTING = 0.3
 
 
 @dataclass(frozen=True)
@@ -149,9 +151,9 @@ class MotionSegmenter:
             self._identities.update([], ego_motion, 0.0)
             return _Pending(frame, self._resolution, None, [])
         regions = self._regions(motion)
-        candidates = self._outlines(centre, motion, regions, ego_motion)
         scale = self._resolution.detail_from_processing[0]
         tilt = 0.0 if np.isnan(motion.tilt) else motion.tilt * scale
+        candidates = self._outlines(centre, motion, regions, ego_motion, tilt)
         observations = self._identities.update(candidates, ego_motion, tilt)
         self._window.mark_objects(centre, _widened(candidates, self._detail_shape, _GUARD))
         return _Pending(frame, self._resolution, motion, observations)
@@ -201,7 +203,7 @@ class MotionSegmenter:
             return sampson_motion(flows, weights, _interval_sets(p.flow.interval))
         return affine_motion(flows, weights)
 
-    def _regions(self, motion: MotionEstimate) -> list[region_growing.Region]:
+    def _regions(self, motion: MotionEstimate) -> list[Region]:
         seed, growing = self._parameters.seed, self._parameters.growing
         strength = region_growing.seed_strength(motion, seed.size, seed.delta1, seed.delta2)
         similarity = {
@@ -216,22 +218,25 @@ class MotionSegmenter:
         self,
         centre: int,
         motion: MotionEstimate,
-        regions: Sequence[region_growing.Region],
+        regions: Sequence[Region],
         ego_motion: Matrix,
+        tilt: float,
     ) -> list[Candidate]:
         """Turn moving regions into outlines at detail resolution."""
         assert self._resolution is not None
-        enlarged = [_enlarged(region.mask, self._detail_shape) for region in regions]
+        areas = moving_areas(regions, motion, self._resolution.detail)
+        moving = _union([area.mask for area in areas], self._detail_shape)
         if self._parameters.outline.method == "none":
-            masks = enlarged
-            moving = _union(enlarged, self._detail_shape)
+            masks = [_enlarged(region.mask, self._resolution.detail) for region in regions]
         else:
-            moving = _union(enlarged, self._detail_shape)
-            expected = self._identities.expected_masks(ego_motion, self._detail_shape)
-            near = _union(
-                [moving, *(_dilated(mask, _GUARD + 1) for mask in expected)], self._detail_shape
+            resting = self._resting_objects(moving, ego_motion)
+            masks = silhouettes(
+                self._window[centre].detail,
+                [*areas, *resting],
+                self._views(centre, areas),
+                tilt,
+                self._parameters.outline.threshold,
             )
-            masks = self._silhouettes(centre, near)
         velocity = motion.velocity * np.float32(self._resolution.detail_from_processing[0])
         return [
             _candidate(mask, moving, velocity)
@@ -239,32 +244,40 @@ class MotionSegmenter:
             if np.count_nonzero(mask) >= _SMALLEST_OUTLINE
         ]
 
-    def _silhouettes(self, centre: int, near: Mask) -> list[Mask]:
-        """Cut out, piece by piece, what stands out from the background within `near`."""
-        found = np.zeros(self._detail_shape, np.uint8)
-        count, pieces = cv2.connectedComponents(near.astype(np.uint8))
-        image = self._window[centre].detail
-        for piece in range(1, count):
-            box = Box.around(pieces == piece).grown(_MARGIN, self._detail_shape)
-            background = background_in(box, self._views(centre))
-            found[box.slices] |= silhouette(
-                background,
-                image[box.slices],
-                (pieces == piece)[box.slices],
-                noise=4.0,
-                threshold=self._parameters.outline.threshold,
-            )
-        count, pieces = cv2.connectedComponents(found)
-        return [pieces == piece for piece in range(1, count)]
+    def _resting_objects(self, moving: Mask, ego_motion: Matrix) -> list[MovingArea]:
+        """Give where known objects should be that no motion was found for."""
+        expected = self._identities.expected_masks(ego_motion, self._detail_shape)
+        return [
+            MovingArea(_dilated(mask, _GUARD + 1), np.zeros_like(mask), (0.0, 0.0))
+            for mask in expected
+            if np.count_nonzero(mask & moving) < _RESTING * np.count_nonzero(mask)
+        ]
 
-    def _views(self, centre: int) -> list[View]:
+    def _views(self, centre: int, areas: Sequence[MovingArea]) -> list[View]:
+        """Give the scene at other times; in frames to come, objects are where they are headed."""
         assert self._resolution is not None
         views = []
         for index in self._window.key_frames(centre):
-            key: PreparedFrame = self._window[index]
+            key = self._window[index]
             to_image = self._resolution.to_detail(self._window.transform(centre, index))
-            views.append(View(key.detail, key.objects, to_image))
+            objects = key.objects
+            if objects is None:
+                objects = self._headed(areas, index - centre, to_image)
+            views.append(View(key.detail, objects, to_image))
         return views
+
+    def _headed(self, areas: Sequence[MovingArea], frames: int, to_image: Matrix) -> Mask:
+        """Give the cores of moving areas so many frames on, HxW, in that frame's pixels."""
+        height, width = self._detail_shape
+        objects = np.zeros((height, width), np.uint8)
+        for area in areas:
+            vx, vy = area.velocity
+            step = np.array([[1.0, 0.0, vx * frames], [0.0, 1.0, vy * frames], [0.0, 0.0, 1.0]])
+            core = convex_hull(area.core).astype(np.uint8)
+            objects |= cv2.warpAffine(
+                core, (to_image @ step)[:2], (width, height), flags=cv2.INTER_NEAREST
+            )
+        return objects > 0
 
 
 def _identity_keeper(parameters: Parameters) -> IdentityKeeper:
@@ -300,10 +313,8 @@ def _dilated(mask: Mask, radius: int) -> Mask:
     return dilated
 
 
-def _enlarged(mask: Mask, shape: tuple[int, int]) -> Mask:
-    size = (shape[1], shape[0])
-    soft = cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_LINEAR)
-    enlarged: Mask = soft > 0.5
+def _enlarged(mask: Mask, size: tuple[int, int]) -> Mask:
+    enlarged: Mask = cv2.resize(mask.astype(np.float32), size) > 0.5
     return enlarged
 
 

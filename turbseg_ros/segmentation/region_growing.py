@@ -43,14 +43,16 @@ def seed_strength(motion: MotionEstimate, size: int, delta1: float, delta2: floa
     """Score every window of size x size as a seed, 0 where it is none.
 
     A window is one when its mean of M exceeds δ1 times the noise and its variance stays below
-    (δ2 · mean)²: the paper's two criteria, in units that the turbulence sets.
+    (δ2 · mean)²: the paper's two criteria, in units that the turbulence sets. Of windows that
+    overlap the strongest counts: beside an object M only fades out.
 
     :param size: D, in pixels.
     """
     mean = cv2.blur(motion.motion_map, (size, size))
     variance = cv2.blur(motion.motion_map**2, (size, size)) - mean**2
     strength = mean / cv2.blur(motion.noise, (size, size))
-    accepted = (strength > delta1) & (variance < (delta2 * mean) ** 2) & motion.visible
+    peak = strength >= cv2.dilate(strength, np.ones((2 * size + 1, 2 * size + 1), np.uint8))
+    accepted = (strength > delta1) & (variance < (delta2 * mean) ** 2) & peak & motion.visible
     scored: Map = np.where(accepted, strength, 0.0).astype(np.float32)
     return scored
 

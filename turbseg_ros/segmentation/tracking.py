@@ -26,6 +26,9 @@ _UNMATCHABLE = 1e6
 # How far a centroid may stray from its prediction, in diagonals of the object.
 _REACH = 0.6
 _TRAIL_LENGTH = 60
+# Share of the way its flow claims that a track must really have come: flow that bleeds past an
+# object's edge moves nothing.
+_HONESTY = 0.5
 
 
 @dataclass(frozen=True)
@@ -66,6 +69,7 @@ class Track:
     hits: int = 1
     misses: int = 0
     still: int = 0
+    claimed: float = 0.0
     confirmed: bool = False
     trail: list[Point] = field(default_factory=list)
 
@@ -227,7 +231,7 @@ class ObjectTracker:
         if track.confirmed or track.hits < self._confirmation:
             return
         travelled = float(np.linalg.norm(track.position - track.birthplace))
-        if travelled < self._travel + 2.0 * tilt:
+        if travelled < max(self._travel + 2.0 * tilt, _HONESTY * track.claimed):
             return
         track.confirmed = True
         track.id = self._next_id
@@ -286,6 +290,7 @@ def _correct(track: Track, candidate: Candidate) -> None:
     track.kalman.correct(candidate.centroid.reshape(2, 1))
     track.candidate = candidate
     track.hits += 1
+    track.claimed += float(np.hypot(*candidate.velocity))
     track.still = 0 if candidate.moving else track.still + 1
 
 

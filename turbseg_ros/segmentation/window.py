@@ -193,8 +193,7 @@ class FrameWindow:
         for index in sorted(self._frames):
             if low < index <= high:
                 chained = self._frames[index].from_previous @ chained
-        result: Matrix = chained if source <= target else np.linalg.inv(chained)
-        return result
+        return chained if source <= target else np.asarray(np.linalg.inv(chained))
 
     def _forget(self) -> None:
         """Drop frames that no later one needs, handing their motion to the next that stays."""

@@ -1,0 +1,332 @@
+"""Cutting objects out of the picture: what moves and stands out from the background."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from turbseg_ros.segmentation.background import (
+    Background,
+    Box,
+    View,
+    background_in,
+    deviation_from,
+    difference_from,
+)
+from turbseg_ros.segmentation.motion import MotionEstimate
+from turbseg_ros.segmentation.region_growing import Region, Seed
+
+Map = npt.NDArray[np.float32]
+Mask = npt.NDArray[np.bool_]
+Image = npt.NDArray[np.uint8]
+
+# Pixels around what moves that are looked at with it.
+_MARGIN = 8
+# Difference that belongs to an object, as a fraction of the object's usual one: less is blur.
+_FRINGE = 0.2
+# A shadow keeps the colour of what it falls on and most of its light, and is fainter than this
+# fraction of the object's usual difference; it covers no more than that share of the whole.
+_SHADOW_CONTRAST = 0.65
+_SHADOW_LIGHT = (0.3, 0.98)
+_SHADOW_COLOUR = 0.15
+_SHADOW_SHARE = 0.4
+# Share of a moving area whose background must be unknown for colour to be asked, and the most
+# pixels that it is asked about, for GrabCut is slow.
+_OPEN = 0.03
+_LARGEST_CUT = 20000
+_CUT_ITERATIONS = 2
+# Gap that may part an object, say by a pole, as a fraction of the root of its area; and the
+# fraction of the largest object's area below which a part of the same area is debris.
+_GAP = 0.2
+_DEBRIS = 0.1
+# Share of a seed's velocity from which a pixel is hardly another's smear.
+_CORE = 0.75
+# Two regions are one object's when their velocities differ by less than this fraction, and their
+# gap is less than that fraction of the root of the smaller one's area.
+_ALIKE = 0.3
+_NEAR = 0.5
+
+
+@dataclass(frozen=True)
+class MovingArea:
+    """Where objects of one motion are to be looked for: HxW masks, pixels a frame.
+
+    `mask` holds all of them and more, for flow smears past edges; `core` is where motion is so
+    strong that it is no smear.
+    """
+
+    mask: Mask
+    core: Mask
+    velocity: tuple[float, float]
+
+
+def moving_areas(
+    regions: Sequence[Region], motion: MotionEstimate, size: tuple[int, int]
+) -> list[MovingArea]:
+    """Enlarge grown regions to detail resolution, regions of one object made one area.
+
+    Flow fails within plain objects, so that only their ends may have grown: an area is the convex
+    hull of neighbours with one velocity.
+
+    :param size: width and height at detail resolution.
+    """
+    height, width = motion.motion_map.shape
+    scale = size[0] / width, size[1] / height
+    areas = []
+    for group in _of_one_velocity(regions):
+        seed = max((region.seed for region in group), key=lambda seed: seed.strength)
+        mask = _union([region.mask for region in group], (height, width))
+        core = mask & (_share_of_velocity(motion, seed) > _CORE)
+        areas.append(
+            MovingArea(
+                mask=_enlarged(convex_hull(mask), size),
+                core=_enlarged(core, size),
+                velocity=(seed.velocity[0] * scale[0], seed.velocity[1] * scale[1]),
+            )
+        )
+    return areas
+
+
+def silhouettes(
+    image: Image,
+    areas: Sequence[MovingArea],
+    views: Sequence[View],
+    tilt: float,
+    threshold: float,
+) -> list[Mask]:
+    """Cut the objects out of moving areas, one HxW mask each.
+
+    Areas that touch are looked at together; what is found is split by the gaps in it.
+
+    :param image: HxWxC, the frame.
+    :param views: the scene at other times, for its background.
+    :param tilt: rms turbulent motion an axis in pixels.
+    :param threshold: standard deviations by which an object differs from the background.
+    """
+    shape = (image.shape[0], image.shape[1])
+    moving = _union([area.mask for area in areas], shape)
+    core = _union([area.core for area in areas], shape)
+    found = []
+    count, pieces = cv2.connectedComponents(moving.astype(np.uint8))
+    for piece in range(1, count):
+        inside = pieces == piece
+        box = Box.around(inside).grown(_MARGIN, shape)
+        cut = box.slices
+        background = background_in(box, views)
+        mask = standing_out(background, image[cut], inside[cut], core[cut], tilt, threshold)
+        for part in separated(mask):
+            whole = np.zeros(shape, bool)
+            whole[cut] = without_shadow(part, image[cut], background)
+            found.append(whole)
+    return found
+
+
+def standing_out(
+    background: Background,
+    image: Image,
+    moving: Mask,
+    core: Mask,
+    tilt: float,
+    threshold: float,
+) -> Mask:
+    """Tell what stands out from the background where something moves, hxw.
+
+    A pixel does when it differs from the background by more than noise and shimmer explain, and
+    by a fair part of what the object differs by. Where no view shows the background yet, GrabCut
+    decides by colour. Edges follow those of the image.
+
+    :param image: hxwxC; `background`, `moving` and `core` are of the same part of the frame.
+    """
+    deviation = deviation_from(background, image, tilt) / threshold
+    difference = difference_from(background, image)
+    certain = moving & background.known & (deviation > 1.0)
+    if certain.any():
+        usual = float(np.percentile(difference[certain], 80))
+        deviation = np.minimum(deviation, difference / (_FRINGE * usual))
+    score = np.clip(cv2.blur(np.minimum(deviation, 4.0), (3, 3)) - 1.0, -1.0, 1.0)
+    if np.count_nonzero(moving & ~background.known) > _OPEN * np.count_nonzero(moving):
+        cut = _cut_by_colour(background, image, score, moving, core)
+        score = np.where(background.known, score, np.where(cut, 1.0, -1.0)).astype(np.float32)
+    grey = image.astype(np.float32).mean(axis=2) / 255.0
+    score = guided_filter(grey, score, radius=2, epsilon=1e-3)
+    return _filled((score > 0.0) & moving)
+
+
+def separated(mask: Mask) -> list[Mask]:
+    """Split a mask into objects: parts with a gap small for their size belong together.
+
+    What is left over beside an object that is ten times as large is a part of nothing.
+    """
+    reach = int(np.clip(_GAP * np.sqrt(np.count_nonzero(mask)), 1, 20))
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
+    padded = cv2.copyMakeBorder(
+        mask.astype(np.uint8), reach, reach, reach, reach, cv2.BORDER_CONSTANT, value=0
+    )
+    closed = cv2.morphologyEx(padded, cv2.MORPH_CLOSE, kernel)[reach:-reach, reach:-reach]
+    count, groups = cv2.connectedComponents(closed)
+    parts = [(groups == group) & mask for group in range(1, count)]
+    largest = max((np.count_nonzero(part) for part in parts), default=0)
+    return [part for part in parts if np.count_nonzero(part) >= _DEBRIS * largest]
+
+
+def without_shadow(mask: Mask, image: Image, background: Background) -> Mask:
+    """Take an object's shadow off its mask, hxw.
+
+    A shadow lies below its object, darkens what it falls on without changing its colour
+    (Prati et al. 2003), and is fainter than the object. An object that looks like a shadow all
+    over stays whole.
+
+    :param image: hxwxC; `background` is of the same part of the frame.
+    """
+    area = np.count_nonzero(mask)
+    if not area:
+        return mask
+    difference = cv2.blur(difference_from(background, image), (3, 3))
+    usual = float(np.percentile(difference[mask], 80))
+    light = (image.astype(np.float32) + 1.0) / (background.median + 1.0)
+    least, most = light.min(axis=2), light.max(axis=2)
+    darkened = (least > _SHADOW_LIGHT[0]) & (most < _SHADOW_LIGHT[1])
+    same_colour = most - least < _SHADOW_COLOUR
+    faint = difference < _SHADOW_CONTRAST * usual
+    shadowy = (mask & background.known & darkened & same_colour & faint).astype(np.uint8)
+    shadowy = cv2.morphologyEx(shadowy, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    rim = mask & ~(cv2.erode(mask.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0)
+    middle = float(np.nonzero(mask)[0].mean())
+    count, patches, statistics, centroids = cv2.connectedComponentsWithStats(shadowy)
+    lit = mask.copy()
+    for patch in range(1, count):
+        inside = patches == patch
+        small = statistics[patch, cv2.CC_STAT_AREA] <= _SHADOW_SHARE * area
+        if small and centroids[patch][1] > middle and (inside & rim).any():
+            lit &= ~inside
+    return _opened(lit)
+
+
+def guided_filter(guide: Map, source: Map, radius: int, epsilon: float) -> Map:
+    """Smooth `source` along the edges of `guide` (He, Sun and Tang 2013), both HxW float32.
+
+    :param guide: grey values from 0 to 1.
+    :param epsilon: variance of the guide above which an edge is kept.
+    """
+    size = (2 * radius + 1, 2 * radius + 1)
+    mean_guide, mean_source = cv2.blur(guide, size), cv2.blur(source, size)
+    covariance = cv2.blur(guide * source, size) - mean_guide * mean_source
+    variance = cv2.blur(guide * guide, size) - mean_guide * mean_guide
+    slope = covariance / (variance + epsilon)
+    offset = mean_source - slope * mean_guide
+    smoothed: Map = cv2.blur(slope, size) * guide + cv2.blur(offset, size)
+    return smoothed
+
+
+def _cut_by_colour(
+    background: Background, image: Image, score: Map, moving: Mask, core: Mask
+) -> Mask:
+    """Tell objects from background by GrabCut (Rother et al. 2004), hxw.
+
+    It starts from what the background tells where it is known, and from the core elsewhere.
+    """
+    labels = np.full(moving.shape, cv2.GC_PR_BGD, np.uint8)
+    labels[core] = cv2.GC_PR_FGD
+    labels[background.known & (score > 0.0)] = cv2.GC_PR_FGD
+    labels[background.known & (score > 0.9)] = cv2.GC_FGD
+    labels[background.known & (score <= 0.0)] = cv2.GC_PR_BGD
+    labels[(background.known & (score < -0.4)) | ~moving] = cv2.GC_BGD
+    scale = min(1.0, float(np.sqrt(_LARGEST_CUT / moving.size)))
+    size = (max(round(moving.shape[1] * scale), 1), max(round(moving.shape[0] * scale), 1))
+    colour = image if image.shape[2] == 3 else cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
+    small = cv2.resize(colour, size, interpolation=cv2.INTER_AREA)
+    labels = cv2.resize(labels, size, interpolation=cv2.INTER_NEAREST)
+    if (
+        min(np.count_nonzero(_is_foreground(labels)), np.count_nonzero(~_is_foreground(labels)))
+        < 8
+    ):
+        return core
+    # OpenCV draws GrabCut's first clusters from its global generator.
+    cv2.setRNGSeed(1)
+    labels, _, _ = cv2.grabCut(
+        small, labels, None, None, None, _CUT_ITERATIONS, cv2.GC_INIT_WITH_MASK
+    )
+    shape = (moving.shape[1], moving.shape[0])
+    cut: Mask = cv2.resize(_is_foreground(labels).astype(np.float32), shape) > 0.5
+    return cut
+
+
+def _is_foreground(labels: npt.NDArray[np.uint8]) -> Mask:
+    foreground: Mask = (labels == cv2.GC_FGD) | (labels == cv2.GC_PR_FGD)
+    return foreground
+
+
+def convex_hull(mask: Mask) -> Mask:
+    """Fill the convex hull of a mask."""
+    outlines, _ = cv2.findContours(
+        mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE
+    )
+    hull = np.zeros(mask.shape, np.uint8)
+    if outlines:
+        cv2.fillConvexPoly(hull, cv2.convexHull(np.vstack(outlines)), 1)
+    filled: Mask = hull > 0
+    return filled
+
+
+def _of_one_velocity(regions: Sequence[Region]) -> list[list[Region]]:
+    """Group regions that move alike and lie close for their size."""
+    groups: list[list[Region]] = []
+    for region in regions:
+        near = [group for group in groups if any(_alike(region, other) for other in group)]
+        joined = [region, *(member for group in near for member in group)]
+        groups = [group for group in groups if group not in near] + [joined]
+    return groups
+
+
+def _alike(region: Region, other: Region) -> bool:
+    change = np.subtract(region.seed.velocity, other.seed.velocity)
+    speed = max(np.hypot(*region.seed.velocity), np.hypot(*other.seed.velocity))
+    if np.hypot(*change) > _ALIKE * speed:
+        return False
+    reach = _NEAR * np.sqrt(min(np.count_nonzero(region.mask), np.count_nonzero(other.mask)))
+    return _gap(region.mask, other.mask) < reach
+
+
+def _gap(mask: Mask, other: Mask) -> float:
+    """Give the distance between the boxes around two masks, in pixels, 0 where they overlap."""
+    a, b = Box.around(mask), Box.around(other)
+    across = max(a.x0 - b.x1, b.x0 - a.x1, 0)
+    down = max(a.y0 - b.y1, b.y0 - a.y1, 0)
+    return float(np.hypot(across, down))
+
+
+def _share_of_velocity(motion: MotionEstimate, seed: Seed) -> Map:
+    """Give how much of the seed's velocity each pixel shares, HxW: 1 for all of it."""
+    vx, vy = seed.velocity
+    along = motion.velocity[..., 0] * vx + motion.velocity[..., 1] * vy
+    return np.asarray(along / max(vx * vx + vy * vy, 1e-12), np.float32)
+
+
+def _enlarged(mask: Mask, size: tuple[int, int]) -> Mask:
+    enlarged: Mask = cv2.resize(mask.astype(np.float32), size) > 0.5
+    return enlarged
+
+
+def _union(masks: Sequence[Mask], shape: tuple[int, int]) -> Mask:
+    union: Mask = np.logical_or.reduce([np.zeros(shape, bool), *masks])
+    return union
+
+
+def _filled(mask: Mask) -> Mask:
+    """Close gaps that are small for the mask's size, and fill what is enclosed."""
+    radius = int(np.clip(0.1 * np.sqrt(np.count_nonzero(mask)), 1, 3))
+    kernel = np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)
+    closed = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_CLOSE, kernel)
+    outlines, _ = cv2.findContours(closed, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    return _opened(cv2.drawContours(np.zeros_like(closed), outlines, -1, 1, cv2.FILLED) > 0)
+
+
+def _opened(mask: Mask) -> Mask:
+    opened: Mask = (
+        cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0
+    )
+    return opened
