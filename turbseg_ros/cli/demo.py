@@ -26,7 +26,13 @@ from turbseg_ros.bag.reader import BagReader
 from turbseg_ros.bag.topics import LABELS_TOPIC, RESULT_NAMESPACE, TRUTH_TOPIC
 from turbseg_ros.bag.writer import BagWriter
 from turbseg_ros.cli.errors import UsageError, executable
-from turbseg_ros.cli.processes import ChildProcess, ProcessError, SignalWatch, executable_process
+from turbseg_ros.cli.processes import (
+    ChildProcess,
+    ProcessError,
+    SignalWatch,
+    executable_process,
+    signals_watched,
+)
 from turbseg_ros.evaluation.evaluate import EvaluationError, evaluate_labels
 from turbseg_ros.evaluation.labels import (
     LabelsByStamp,
@@ -138,7 +144,7 @@ def _record_live(source: BagReader, image_topic: str, products: _Products) -> No
     node_arguments += ["-p", f"queue_size:={_PARAMETERS.queue_size}"]
     play_arguments = [str(source.path), "--topics", image_topic, "--wait", str(_START_LIMIT)]
     with (
-        SignalWatch() as signals,
+        signals_watched() as signals,
         executable_process("node", node_arguments, node_log) as node,
         BagWriter(products.bag) as bag,
         _ros_context(),

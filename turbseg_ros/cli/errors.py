@@ -10,7 +10,7 @@ import functools
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from types import FrameType
 from typing import NoReturn, Protocol
 
@@ -19,6 +19,8 @@ from turbseg_ros.parameters import ParameterError
 
 _REFUSED = 2  # as argparse ends
 _STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+SignalHandler = Callable[[int, FrameType | None], object]
 
 
 class Main(Protocol):
@@ -36,6 +38,21 @@ class Interrupted(SystemExit):
     """SIGINT or SIGTERM arrived; unless caught, the exit status says which, as a shell's does."""
 
 
+@contextlib.contextmanager
+def signals_answered_by(handler: SignalHandler, numbers: Iterable[int]) -> Iterator[None]:
+    """Let `handler` answer some signals for the time of a `with` statement.
+
+    Those that it gave another handler itself keep that one.
+    """
+    before = {number: signal.signal(number, handler) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, earlier in before.items():
+            if signal.getsignal(number) is handler:
+                signal.signal(number, earlier)
+
+
 def executable(name: str) -> Callable[[Main], Main]:
     """Decorate `main(arguments) -> exit status` of the executable `name`.
 
@@ -46,7 +63,7 @@ def executable(name: str) -> Callable[[Main], Main]:
     def decorate(main: Main) -> Main:
         @functools.wraps(main)
         def run(arguments: Sequence[str] | None = None) -> int:
-            with _unwinding_on_signals():
+            with signals_answered_by(_interrupt, _STOP_SIGNALS):
                 try:
                     status = main(arguments)
                     sys.stdout.flush()
@@ -76,19 +93,8 @@ def _leave_closed_pipe() -> int:
     return 128 + signal.SIGPIPE
 
 
-@contextlib.contextmanager
-def _unwinding_on_signals() -> Iterator[None]:
-    before = {number: signal.signal(number, _interrupt) for number in _STOP_SIGNALS}
-    try:
-        yield
-    finally:
-        # Once interrupted, signals stay ignored until the process has ended.
-        if signal.getsignal(signal.SIGINT) is _interrupt:
-            for number, handler in before.items():
-                signal.signal(number, handler)
-
-
 def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
     for stop in _STOP_SIGNALS:
-        signal.signal(stop, signal.SIG_IGN)  # a second one must not disturb the cleaning up
+        # A second one must not disturb the cleaning up, until the process has ended.
+        signal.signal(stop, signal.SIG_IGN)
     raise Interrupted(128 + number)

@@ -9,9 +9,9 @@ import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType, TracebackType
+from types import FrameType
 
-from turbseg_ros.cli.errors import Interrupted
+from turbseg_ros.cli.errors import Interrupted, signals_answered_by
 
 _STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 # Seconds that a process gets to end by itself.
@@ -23,26 +23,14 @@ class ProcessError(Exception):
 
 
 class SignalWatch:
-    """Takes note of signals that ask to stop, so that they interrupt nothing halfway.
-
-    To be used in a `with` statement, within which `check` is called now and then.
-    """
+    """Takes note of signals that ask to stop, so that they interrupt nothing halfway."""
 
     def __init__(self) -> None:
         self._received: int | None = None
 
-    def __enter__(self) -> SignalWatch:
-        self._before = {number: signal.signal(number, self._note) for number in _STOP_SIGNALS}
-        return self
-
-    def __exit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
+    def note(self, number: int, frame: FrameType | None) -> None:
+        """Take note of a signal, as its handler."""
+        self._received = number
 
     def check(self) -> None:
         """Go on unless a signal came.
@@ -52,8 +40,13 @@ class SignalWatch:
         if self._received is not None:
             raise Interrupted(128 + self._received)
 
-    def _note(self, number: int, frame: FrameType | None) -> None:
-        self._received = number
+
+@contextlib.contextmanager
+def signals_watched() -> Iterator[SignalWatch]:
+    """Hold signals back for the time of a `with` statement, in which `check` is called often."""
+    watch = SignalWatch()
+    with signals_answered_by(watch.note, _STOP_SIGNALS):
+        yield watch
 
 
 @dataclass(frozen=True)
@@ -89,7 +82,7 @@ def child_process(name: str, command: Sequence[str], log: Path) -> Iterator[Chil
     """Run a command for the time of a `with` statement.
 
     At its end the process gets SIGINT and, when that doesn't help, SIGKILL. It has a session of
-    its own, so that a terminal's Ctrl-C reaches it by this way only. Use it under a SignalWatch:
+    its own, so that a terminal's Ctrl-C reaches it by this way only. Watch signals meanwhile:
     an exception while the process is being started would leave it behind.
     """
     with log.open("wb") as output:
