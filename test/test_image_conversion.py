@@ -12,6 +12,7 @@ from sensor_msgs.msg import CompressedImage, Image
 
 from turbseg_ros.ros.image_conversion import (
     ImageConversionError,
+    encoding_of,
     frame_from_message,
     image_from_message,
     message_from_image,
@@ -248,3 +249,25 @@ def test_a_frame_has_its_message_stamp_frame_id_and_image():
     frame = frame_from_message(message_from_image(image, "mono8", -7, "camera"))
     assert (frame.stamp, frame.frame_id) == (-7, "camera")
     np.testing.assert_array_equal(frame.image, image)
+
+
+@given(
+    st.sampled_from([("uint8", 1), ("uint16", 1), ("float32", 1), ("uint8", 3), ("uint16", 3)]),
+    SIZES,
+    SIZES,
+)
+def test_an_image_is_stored_as_it_is(kind, height, width):
+    dtype, channels = kind
+    shape = (height, width) if channels == 1 else (height, width, channels)
+    image = np.arange(np.prod(shape)).reshape(shape).astype(dtype)
+    stored = image_from_message(message_from_image(image, encoding_of(image), 0))
+    assert stored.dtype == image.dtype
+    np.testing.assert_array_equal(stored, image)
+
+
+@pytest.mark.parametrize(
+    ("dtype", "shape"), [(np.float64, (2, 3)), (np.float32, (2, 3, 3)), (np.uint8, (2, 3, 2))]
+)
+def test_an_image_that_no_encoding_stores_is_refused(dtype, shape):
+    with pytest.raises(ImageConversionError, match="no encoding stores"):
+        encoding_of(np.zeros(shape, dtype))

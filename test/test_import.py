@@ -280,3 +280,10 @@ def test_an_impossible_rate_is_refused(rate, capsys):
         main(["clip", "bag", f"--rate={rate}"])
     assert caught.value.code == 2
     assert "--rate" in capsys.readouterr().err
+
+
+def test_frames_that_no_encoding_stores_are_refused(tmp_path, capsys):
+    frames = save(tmp_path / "clip", [np.zeros(SHAPE)], ".tif")
+    complaint = refusal(capsys, frames, tmp_path / "out" / "bag")
+    assert "no encoding stores float64 images" in complaint
+    assert list((tmp_path / "out").iterdir()) == []

@@ -7,8 +7,10 @@ import itertools
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
-from tqdm import tqdm
+import numpy.typing as npt
+from sensor_msgs.msg import Image
 
 from turbseg_ros.bag.clip import (
     Clip,
@@ -23,21 +25,17 @@ from turbseg_ros.bag.topics import IMAGE_TOPIC, TRUTH_TOPIC
 from turbseg_ros.bag.writer import BagWriter
 from turbseg_ros.cli.arguments import positive_number
 from turbseg_ros.cli.errors import UsageError, executable
-from turbseg_ros.ros.image_conversion import message_from_image
+from turbseg_ros.cli.options import with_progress
+from turbseg_ros.ros.image_conversion import (
+    ImageConversionError,
+    encoding_of,
+    message_from_image,
+)
 
 _FRAME_ID = "camera"
 # ROS takes time 0 for "not set", so clips begin a second later.
 _START_NS = 1_000_000_000
 _FOLDER_RATE = 30.0  # Hz
-
-# By depth and whether there is colour.
-_ENCODINGS = {
-    ("uint8", False): "mono8",
-    ("uint16", False): "mono16",
-    ("float32", False): "32FC1",
-    ("uint8", True): "bgr8",
-    ("uint16", True): "bgr16",
-}
 
 
 @executable("turbseg_import")
@@ -58,21 +56,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _write(clip: Clip, bag: BagWriter, topic: str, rate: float) -> int:
     """Write a clip's images and labels; give the number of frames."""
     form = frame_format(clip.frames)
-    encoding = _encoding(form)
     truth = itertools.repeat(None) if clip.masks is None else _labels(clip.masks, form)
-    progress = tqdm(
-        form.conform(clip.frames), total=clip.frames.stated_count, unit="frame", disable=None
-    )
+    frames = with_progress(form.conform(clip.frames), topic, clip.frames.stated_count)
     count = 0
-    for frame, labels in zip(progress, truth, strict=False):
+    for frame, labels in zip(frames, truth, strict=False):
         stamp = _START_NS + round(count / rate * 1e9)
-        bag.write(topic, message_from_image(frame, encoding, stamp, _FRAME_ID), stamp)
+        bag.write(topic, _message(frame, stamp), stamp)
         if labels is not None:
-            labels_encoding = "mono8" if labels.dtype.itemsize == 1 else "mono16"
-            message = message_from_image(labels, labels_encoding, stamp, _FRAME_ID)
-            bag.write(TRUTH_TOPIC, message, stamp)
+            bag.write(TRUTH_TOPIC, _message(labels, stamp), stamp)
         count += 1
     return count
+
+
+def _message(image: npt.NDArray[Any], stamp: int) -> Image:
+    try:
+        return message_from_image(image, encoding_of(image), stamp, _FRAME_ID)
+    except ImageConversionError as error:
+        raise ClipError(str(error)) from error
 
 
 def _labels(masks: ImageFolder, form: FrameFormat) -> Iterator[Labels]:
@@ -84,13 +84,6 @@ def _labels(masks: ImageFolder, form: FrameFormat) -> Iterator[Labels]:
                 f"mask {number} is {width}x{height}, its frame {form.width}x{form.height} pixels"
             )
         yield meaning.labels(mask)
-
-
-def _encoding(form: FrameFormat) -> str:
-    encoding = _ENCODINGS.get((form.dtype.name, form.colour))
-    if encoding is None:
-        raise ClipError(f"the frames hold {form.dtype} values, which no encoding stores")
-    return encoding
 
 
 def _own_rate(clip: Clip, source: Path) -> float:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import argparse
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import TypeVar
 
 import yaml
 from tqdm import tqdm
 from tqdm.contrib.logging import logging_redirect_tqdm
 
-from turbseg_ros.evaluation.replay import BagFrames
 from turbseg_ros.parameters import (
     Declaration,
     ParameterError,
@@ -19,7 +19,8 @@ from turbseg_ros.parameters import (
     declarations,
     load_parameters,
 )
-from turbseg_ros.segmentation.frame import Frame
+
+T = TypeVar("T")
 
 
 def add_parameter_options(parser: argparse.ArgumentParser) -> None:
@@ -52,11 +53,22 @@ def parameters_from(options: argparse.Namespace) -> Parameters:
     return parameters.replace(dict(_parsed(override) for override in options.overrides))
 
 
-def with_progress(frames: BagFrames, title: str) -> Iterator[Frame]:
-    """Show a progress bar while the frames are taken, if standard error is a terminal."""
+def with_progress(
+    items: Iterable[T], title: str, total: int | None = None, unit: str = "frame"
+) -> Iterator[T]:
+    """Show a progress bar while the items are taken, if standard error is a terminal.
+
+    `total` is how many they are, where they don't know it themselves.
+    """
     with logging_redirect_tqdm():
         yield from tqdm(
-            frames, desc=title, unit="frame", dynamic_ncols=True, leave=False, disable=None
+            items,
+            desc=title,
+            total=total,
+            unit=unit,
+            dynamic_ncols=True,
+            leave=False,
+            disable=None,
         )
 
 

@@ -18,7 +18,7 @@ _NANOSECONDS = 1_000_000_000
 
 
 class ImageConversionError(ValueError):
-    """An image message that can't be made an image; the text is one line saying why."""
+    """Message and image that can't be made one another; the text is one line saying why."""
 
 
 @dataclass(frozen=True)
@@ -72,6 +72,15 @@ _LAYOUTS = {
     "yuyv": _YUYV,
 }
 
+# By type and channels, what needs no conversion.
+_PLAIN = {
+    ("uint8", 1): "mono8",
+    ("uint16", 1): "mono16",
+    ("float32", 1): "32FC1",
+    ("uint8", 3): "bgr8",
+    ("uint16", 3): "bgr16",
+}
+
 
 def frame_from_message(message: Image | CompressedImage) -> Frame:
     """Give the frame that a camera's message holds, as the method takes it.
@@ -103,6 +112,20 @@ def image_from_message(message: Image | CompressedImage) -> npt.NDArray[Any]:
         return stored
     converted: npt.NDArray[Any] = cv2.cvtColor(stored, layout.conversion)
     return converted
+
+
+def encoding_of(image: npt.NDArray[Any]) -> str:
+    """Give the encoding that stores `image`, HxW (grey) or HxWx3 (BGR), as it is.
+
+    :raises ImageConversionError: when none does.
+    """
+    channels = image.shape[2] if image.ndim == 3 else 1
+    encoding = _PLAIN.get((image.dtype.name, channels))
+    if encoding is None:
+        raise ImageConversionError(
+            f"no encoding stores {image.dtype} images of {channels} channels"
+        )
+    return encoding
 
 
 def message_from_image(
