@@ -11,38 +11,25 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import cv2
-import numpy as np
 import pytest
+from drawn_bag import write_drawn_bag
 
 from turbseg_ros.bag.reader import BagReader
-from turbseg_ros.bag.topics import TRUTH_TOPIC
-from turbseg_ros.bag.writer import BagWriter
 from turbseg_ros.cli import demo, processes
 from turbseg_ros.cli.processes import ProcessError, child_process, executable_process
-from turbseg_ros.ros.image_conversion import message_from_image
 
 Start = Callable[..., subprocess.Popen[str]]
 
 FRAMES = 16
-SIZE = (96, 160)
 
 
 @pytest.fixture
 def bag(tmp_path: Path) -> Path:
-    """A dark square that moves over a textured ground, at 10 Hz."""
-    random = np.random.default_rng(1)
-    ground = cv2.GaussianBlur(random.uniform(0, 255, SIZE).astype(np.float32), (0, 0), 2.0)
-    ground = cv2.normalize(ground, None, 90, 220, cv2.NORM_MINMAX).astype(np.uint8)
-    path = tmp_path / "bag"
-    with BagWriter(path) as writer:
-        for number in range(FRAMES):
-            stamp = 1_700_000_000_000_000_000 + number * 100_000_000
-            image, truth = ground.copy(), np.zeros(SIZE, np.uint8)
-            window = (slice(40, 60), slice(10 + 4 * number, 40 + 4 * number))
-            image[window], truth[window] = 20, 1
-            writer.write("/lens/image_raw", message_from_image(image, "mono8", stamp), stamp)
-            writer.write(TRUTH_TOPIC, message_from_image(truth, "mono8", stamp), stamp)
-    return path
+    """Frames at 10 Hz."""
+    start = 1_700_000_000_000_000_000
+    return write_drawn_bag(
+        tmp_path / "bag", [start + number * 100_000_000 for number in range(FRAMES)]
+    )
 
 
 @pytest.fixture
