@@ -23,6 +23,7 @@ from rclpy.signals import SignalHandlerOptions
 from tqdm import tqdm
 
 from turbseg_ros.bag.reader import BagReader
+from turbseg_ros.bag.recorder import Recorder
 from turbseg_ros.bag.topics import LABELS_TOPIC, RESULT_NAMESPACE, TRUTH_TOPIC
 from turbseg_ros.bag.writer import BagWriter
 from turbseg_ros.cli.errors import UsageError, executable
@@ -45,7 +46,6 @@ from turbseg_ros.evaluation.replay import BagFrames
 from turbseg_ros.evaluation.scores import Table, write_json
 from turbseg_ros.parameters import Parameters
 from turbseg_ros.ros.messages import CentroidMarkers, outputs
-from turbseg_ros.ros.recorder import Recorder
 
 # No frame is dropped here, however slow the machine: as many as the queue takes may wait.
 _PARAMETERS = Parameters().replace({"queue_size": 1000})
