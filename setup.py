@@ -24,7 +24,7 @@ setup(
     # Said aloud, so that an editable installation is a plain path, which type checkers follow too.
     package_dir={"": "."},
     packages=find_packages(include=[f"{PACKAGE}*"]),
-    package_data={PACKAGE: ["py.typed"]},
+    package_data={PACKAGE: ["py.typed", "evaluation/*.jinja"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
@@ -43,7 +43,7 @@ setup(
             "ros-wheels-bootstrapper",
             "opencv-python-headless",
         ],
-        "bags": ["mcap"],
+        "bags": ["mcap", "distributed", "jinja2"],
         "test": ["pytest", "pytest-timeout", "hypothesis", "rosbags"],
         "lint": ["ruff", "mypy", "types-PyYAML", "types-tqdm", "scipy-stubs"],
         "colcon": ["colcon-common-extensions"],
