@@ -20,7 +20,6 @@ from turbseg_ros.segmentation.motion import MotionEstimate, affine_motion, samps
 from turbseg_ros.segmentation.region_growing import Region
 from turbseg_ros.segmentation.silhouette import (
     MovingArea,
-    convex_hull,
     moving_areas,
     silhouettes,
 )
@@ -248,7 +247,12 @@ class MotionSegmenter:
         """Give where known objects should be that no motion was found for."""
         expected = self._identities.expected_masks(ego_motion, self._detail_shape)
         return [
-            MovingArea(_dilated(mask, _GUARD + 1), np.zeros_like(mask), (0.0, 0.0))
+            MovingArea(
+                mask=_dilated(mask, _GUARD + 1),
+                core=np.zeros_like(mask),
+                heart=np.zeros_like(mask),
+                velocity=(0.0, 0.0),
+            )
             for mask in expected
             if np.count_nonzero(mask & moving) < _RESTING * np.count_nonzero(mask)
         ]
@@ -273,9 +277,11 @@ class MotionSegmenter:
         for area in areas:
             vx, vy = area.velocity
             step = np.array([[1.0, 0.0, vx * frames], [0.0, 1.0, vy * frames], [0.0, 0.0, 1.0]])
-            core = convex_hull(area.core).astype(np.uint8)
             objects |= cv2.warpAffine(
-                core, (to_image @ step)[:2], (width, height), flags=cv2.INTER_NEAREST
+                area.core.astype(np.uint8),
+                (to_image @ step)[:2],
+                (width, height),
+                flags=cv2.INTER_NEAREST,
             )
         return objects > 0
 

@@ -45,6 +45,8 @@ _GAP = 0.2
 _DEBRIS = 0.1
 # Share of a seed's velocity from which a pixel is hardly another's smear.
 _CORE = 0.75
+# Pixels at processing resolution by which flow smears past an edge.
+_SMEAR = 7
 # Two regions are one object's when their velocities differ by less than this fraction, and their
 # gap is less than that fraction of the root of the smaller one's area.
 _ALIKE = 0.3
@@ -56,11 +58,12 @@ class MovingArea:
     """Where objects of one motion are to be looked for: HxW masks, pixels a frame.
 
     `mask` holds all of them and more, for flow smears past edges; `core` is where motion is so
-    strong that it is no smear.
+    strong that it is hardly smear; `heart` lies so deep in the core that it surely is object.
     """
 
     mask: Mask
     core: Mask
+    heart: Mask
     velocity: tuple[float, float]
 
 
@@ -80,11 +83,12 @@ def moving_areas(
     for group in _of_one_velocity(regions):
         seed = max((region.seed for region in group), key=lambda seed: seed.strength)
         mask = _union([region.mask for region in group], (height, width))
-        core = mask & (_share_of_velocity(motion, seed) > _CORE)
+        core = convex_hull(mask & (_share_of_velocity(motion, seed) > _CORE))
         areas.append(
             MovingArea(
                 mask=_enlarged(convex_hull(mask), size),
                 core=_enlarged(core, size),
+                heart=_enlarged(_eroded(core, _SMEAR), size),
                 velocity=(seed.velocity[0] * scale[0], seed.velocity[1] * scale[1]),
             )
         )
@@ -110,6 +114,7 @@ def silhouettes(
     shape = (image.shape[0], image.shape[1])
     moving = _union([area.mask for area in areas], shape)
     core = _union([area.core for area in areas], shape)
+    heart = _union([area.heart for area in areas], shape)
     found = []
     count, pieces = cv2.connectedComponents(moving.astype(np.uint8))
     for piece in range(1, count):
@@ -117,7 +122,8 @@ def silhouettes(
         box = Box.around(inside).grown(_MARGIN, shape)
         cut = box.slices
         background = background_in(box, views)
-        mask = standing_out(background, image[cut], inside[cut], core[cut], tilt, threshold)
+        area = MovingArea(inside[cut], core[cut], heart[cut], (0.0, 0.0))
+        mask = standing_out(background, image[cut], area, tilt, threshold)
         for part in separated(mask):
             whole = np.zeros(shape, bool)
             whole[cut] = without_shadow(part, image[cut], background)
@@ -126,12 +132,7 @@ def silhouettes(
 
 
 def standing_out(
-    background: Background,
-    image: Image,
-    moving: Mask,
-    core: Mask,
-    tilt: float,
-    threshold: float,
+    background: Background, image: Image, area: MovingArea, tilt: float, threshold: float
 ) -> Mask:
     """Tell what stands out from the background where something moves, hxw.
 
@@ -139,8 +140,9 @@ def standing_out(
     by a fair part of what the object differs by. Where no view shows the background yet, GrabCut
     decides by colour. Edges follow those of the image.
 
-    :param image: hxwxC; `background`, `moving` and `core` are of the same part of the frame.
+    :param image: hxwxC; `background` and `area` are of the same part of the frame.
     """
+    moving = area.mask
     deviation = deviation_from(background, image, tilt) / threshold
     difference = difference_from(background, image)
     certain = moving & background.known & (deviation > 1.0)
@@ -149,7 +151,7 @@ def standing_out(
         deviation = np.minimum(deviation, difference / (_FRINGE * usual))
     score = np.clip(cv2.blur(np.minimum(deviation, 4.0), (3, 3)) - 1.0, -1.0, 1.0)
     if np.count_nonzero(moving & ~background.known) > _OPEN * np.count_nonzero(moving):
-        cut = _cut_by_colour(background, image, score, moving, core)
+        cut = _cut_by_colour(background, image, score, area)
         score = np.where(background.known, score, np.where(cut, 1.0, -1.0)).astype(np.float32)
     grey = image.astype(np.float32).mean(axis=2) / 255.0
     score = guided_filter(grey, score, radius=2, epsilon=1e-3)
@@ -222,15 +224,15 @@ def guided_filter(guide: Map, source: Map, radius: int, epsilon: float) -> Map:
     return smoothed
 
 
-def _cut_by_colour(
-    background: Background, image: Image, score: Map, moving: Mask, core: Mask
-) -> Mask:
+def _cut_by_colour(background: Background, image: Image, score: Map, area: MovingArea) -> Mask:
     """Tell objects from background by GrabCut (Rother et al. 2004), hxw.
 
-    It starts from what the background tells where it is known, and from the core elsewhere.
+    It starts from what the background tells where it is known, and from the motion elsewhere.
     """
+    moving = area.mask
     labels = np.full(moving.shape, cv2.GC_PR_BGD, np.uint8)
-    labels[core] = cv2.GC_PR_FGD
+    labels[area.core] = cv2.GC_PR_FGD
+    labels[area.heart & ~background.known] = cv2.GC_FGD
     labels[background.known & (score > 0.0)] = cv2.GC_PR_FGD
     labels[background.known & (score > 0.9)] = cv2.GC_FGD
     labels[background.known & (score <= 0.0)] = cv2.GC_PR_BGD
@@ -244,7 +246,7 @@ def _cut_by_colour(
         min(np.count_nonzero(_is_foreground(labels)), np.count_nonzero(~_is_foreground(labels)))
         < 8
     ):
-        return core
+        return area.core
     # OpenCV draws GrabCut's first clusters from its global generator.
     cv2.setRNGSeed(1)
     labels, _, _ = cv2.grabCut(
@@ -304,6 +306,12 @@ def _share_of_velocity(motion: MotionEstimate, seed: Seed) -> Map:
     vx, vy = seed.velocity
     along = motion.velocity[..., 0] * vx + motion.velocity[..., 1] * vy
     return np.asarray(along / max(vx * vx + vy * vy, 1e-12), np.float32)
+
+
+def _eroded(mask: Mask, radius: int) -> Mask:
+    kernel = np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)
+    eroded: Mask = cv2.erode(mask.astype(np.uint8), kernel) > 0
+    return eroded
 
 
 def _enlarged(mask: Mask, size: tuple[int, int]) -> Mask:
