@@ -15,6 +15,9 @@ Mask = npt.NDArray[np.bool_]
 Matrix = npt.NDArray[np.float64]
 ByteImage = npt.NDArray[np.uint8]
 
+# With fewer views of it, the median of the background is a matter of chance.
+_ENOUGH_KEY_FRAMES = 6
+
 
 @dataclass(frozen=True)
 class Resolution:
@@ -180,11 +183,10 @@ class FrameWindow:
 
     def key_frames(self, centre: int) -> list[int]:
         """Give the indices of the frames that show the scene at other times than `centre`."""
+        others = sorted(k for k in self._frames if k != centre)
+        keys = [k for k in others if k % self._key_step == 0]
         # Early on there are few: then every frame at hand counts.
-        early = centre < 4 * self._key_step
-        return sorted(
-            k for k in self._frames if k != centre and (early or k % self._key_step == 0)
-        )
+        return keys if len(keys) >= _ENOUGH_KEY_FRAMES else others
 
     def transform(self, source: int, target: int) -> Matrix:
         """Give the transform of processing pixels from frame `source` to frame `target`."""
