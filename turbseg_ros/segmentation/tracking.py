@@ -26,9 +26,14 @@ _UNMATCHABLE = 1e6
 # How far a centroid may stray from its prediction, in diagonals of the object.
 _REACH = 0.6
 _TRAIL_LENGTH = 60
-# Share of the way its flow claims that a track must really have come: flow that bleeds past an
-# object's edge moves nothing.
+# Share of the way its flow claims that a track must really have come to become an object, and to
+# stay one: flow bleeds past an object's edge, and what sways or ripples gets nowhere.
 _HONESTY = 0.5
+_LEAST_HONESTY = 0.25
+# Frames over which an object's way is compared with what it claims, and frames for which the
+# place of one that got nowhere is remembered.
+_HONESTY_SPAN = 24
+_RESTLESS_SPAN = 300
 
 
 @dataclass(frozen=True)
@@ -69,7 +74,7 @@ class Track:
     hits: int = 1
     misses: int = 0
     still: int = 0
-    claimed: float = 0.0
+    claims: list[float] = field(default_factory=list)
     confirmed: bool = False
     trail: list[Point] = field(default_factory=list)
 
@@ -79,10 +84,39 @@ class Track:
         return np.asarray(self.kalman.statePost[:2, 0], dtype=np.float64)
 
     @property
+    def size(self) -> float:
+        """Diagonal of the box around it."""
+        return float(np.hypot(*self.candidate.box.shape))
+
+    def gets_nowhere(self) -> bool:
+        """Tell whether, for a good while, it has come a small part of the way that it claims."""
+        claimed = sum(self.claims[-_HONESTY_SPAN:])
+        if len(self.trail) < _HONESTY_SPAN or claimed < 0.5 * self.size:
+            return False
+        come = float(np.linalg.norm(self.trail[-1] - self.trail[-_HONESTY_SPAN]))
+        return come < _LEAST_HONESTY * claimed
+
+    @property
     def velocity(self) -> tuple[float, float]:
         """Estimated velocity in pixels a frame against the scene."""
         vx, vy = self.kalman.statePost[2:, 0]
         return float(vx), float(vy)
+
+
+@dataclass(frozen=True)
+class _Place:
+    """A place where something moved and got nowhere: its middle (x, y) and its radius."""
+
+    middle: Point
+    radius: float
+    age: int = 0
+
+    def holds(self, point: Point) -> bool:
+        return float(np.linalg.norm(point - self.middle)) < self.radius
+
+    def carried(self, ego_motion: Matrix) -> _Place:
+        middle = ego_motion[:2, :2] @ self.middle + ego_motion[:2, 2]
+        return _Place(middle, self.radius, self.age + 1)
 
 
 @dataclass(frozen=True)
@@ -152,6 +186,7 @@ class ObjectTracker:
         self._patience = patience
         self._free_slots = list(range(slots))
         self._tracks: list[Track] = []
+        self._restless: list[_Place] = []
         self._next_id = 1
 
     @property
@@ -176,6 +211,7 @@ class ObjectTracker:
         for track in self._tracks:
             self._end(track)
         self._tracks = []
+        self._restless = []
 
     def expected_masks(self, ego_motion: Matrix, shape: tuple[int, int]) -> list[Mask]:
         """Give where each object should be in the coming frame: HxW masks.
@@ -195,6 +231,9 @@ class ObjectTracker:
         """
         for track in self._tracks:
             _carry(track, ego_motion)
+        self._restless = [
+            place.carried(ego_motion) for place in self._restless if place.age < _RESTLESS_SPAN
+        ]
         matched = self._match(candidates, tilt)
         observations = []
         for index, candidate in enumerate(candidates):
@@ -231,7 +270,10 @@ class ObjectTracker:
         if track.confirmed or track.hits < self._confirmation:
             return
         travelled = float(np.linalg.norm(track.position - track.birthplace))
-        if travelled < max(self._travel + 2.0 * tilt, _HONESTY * track.claimed):
+        wanted = max(self._travel + 2.0 * tilt, _HONESTY * sum(track.claims))
+        if any(place.holds(track.birthplace) for place in self._restless):
+            wanted = max(wanted, track.size)
+        if travelled < wanted:
             return
         track.confirmed = True
         track.id = self._next_id
@@ -240,11 +282,14 @@ class ObjectTracker:
             track.slot = self._free_slots.pop(0)
 
     def _drop_lost(self) -> None:
+        restless = [track for track in self._tracks if track.gets_nowhere()]
+        self._restless += [_Place(track.position, track.size) for track in restless]
         lost = [
             track
             for track in self._tracks
             if track.misses > (self._patience if track.confirmed else 1)
             or track.still > self._patience
+            or track in restless
         ]
         for track in lost:
             self._end(track)
@@ -290,7 +335,7 @@ def _correct(track: Track, candidate: Candidate) -> None:
     track.kalman.correct(candidate.centroid.reshape(2, 1))
     track.candidate = candidate
     track.hits += 1
-    track.claimed += float(np.hypot(*candidate.velocity))
+    track.claims.append(float(np.hypot(*candidate.velocity)))
     track.still = 0 if candidate.moving else track.still + 1
 
 
