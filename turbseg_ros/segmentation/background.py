@@ -59,6 +59,10 @@ class Box:
             min(self.y1 + margin, shape[0]),
         )
 
+    def moved(self, dx: int, dy: int) -> Box:
+        """Give the box that lies (dx, dy) further."""
+        return Box(self.x0 + dx, self.y0 + dy, self.x1 + dx, self.y1 + dy)
+
     @classmethod
     def around(cls, mask: Mask) -> Box:
         """Give the smallest box around a mask that holds something."""

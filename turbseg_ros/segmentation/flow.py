@@ -69,17 +69,11 @@ def slope_flow(flows: Mapping[int, Flow], weights: Mapping[int, npt.NDArray[np.f
     :param flows: {i: F(t→t+i)}, all HxWx2.
     :param weights: {i: HxW}, 0 where the pixel isn't seen in frame t+i, else 1.
     """
-    shape = next(iter(flows.values())).shape[:2]
-    s0, s1, s2 = (np.zeros(shape, np.float32) for _ in range(3))
-    f0, f1 = (np.zeros((*shape, 2), np.float32) for _ in range(2))
-    for i, flow in flows.items():
-        weight = weights[i]
-        s0 += weight
-        s1 += weight * i
-        s2 += weight * (i * i)
-        weighted = flow * weight[..., None]
-        f0 += weighted
-        f1 += weighted * i
+    s0, s1, s2 = (sum(weight * i**power for i, weight in weights.items()) for power in range(3))
+    f0, f1 = (
+        sum(flow * (weights[i] * np.float32(i**power))[..., None] for i, flow in flows.items())
+        for power in range(2)
+    )
     determinant = s0 * s2 - s1 * s1
     solvable = determinant > 0.5
     scale = np.where(solvable, 1.0 / np.where(solvable, determinant, 1.0), 0.0)

@@ -20,6 +20,8 @@ from turbseg_ros.segmentation.motion import MotionEstimate, affine_motion, samps
 from turbseg_ros.segmentation.region_growing import Region
 from turbseg_ros.segmentation.silhouette import (
     MovingArea,
+    Outline,
+    enlarged,
     moving_areas,
     silhouettes,
 )
@@ -226,21 +228,21 @@ class MotionSegmenter:
         areas = moving_areas(regions, motion, self._resolution.detail)
         moving = _union([area.mask for area in areas], self._detail_shape)
         if self._parameters.outline.method == "none":
-            masks = [_enlarged(region.mask, self._resolution.detail) for region in regions]
+            masks = [enlarged(region.mask, self._resolution.detail) for region in regions]
+            outlines = [Outline.of(mask) for mask in masks if mask.any()]
         else:
             resting = self._resting_objects(moving, ego_motion)
-            masks = silhouettes(
+            outlines = silhouettes(
                 self._window[centre].detail,
                 [*areas, *resting],
                 self._views(centre, areas),
                 tilt,
                 self._parameters.outline.threshold,
             )
-        velocity = motion.velocity * np.float32(self._resolution.detail_from_processing[0])
         return [
-            _candidate(mask, moving, velocity)
-            for mask in masks
-            if np.count_nonzero(mask) >= _SMALLEST_OUTLINE
+            _candidate(outline, moving, motion, self._resolution)
+            for outline in outlines
+            if np.count_nonzero(outline.mask) >= _SMALLEST_OUTLINE
         ]
 
     def _resting_objects(self, moving: Mask, ego_motion: Matrix) -> list[MovingArea]:
@@ -319,11 +321,6 @@ def _dilated(mask: Mask, radius: int) -> Mask:
     return dilated
 
 
-def _enlarged(mask: Mask, size: tuple[int, int]) -> Mask:
-    enlarged: Mask = cv2.resize(mask.astype(np.float32), size) > 0.5
-    return enlarged
-
-
 def _widened(candidates: Sequence[Candidate], shape: tuple[int, int], radius: int) -> Mask:
     objects = np.zeros(shape, bool)
     for candidate in candidates:
@@ -331,18 +328,21 @@ def _widened(candidates: Sequence[Candidate], shape: tuple[int, int], radius: in
     return _dilated(objects, radius)
 
 
-def _candidate(mask: Mask, moving: Mask, velocity: npt.NDArray[np.float32]) -> Candidate:
-    """Describe an outline, HxW; `velocity` lies at processing resolution, in detail pixels."""
-    box = Box.around(mask)
-    size = (velocity.shape[1], velocity.shape[0])
-    share = cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA)
-    inside = share >= min(0.5, float(share.max()))
-    vx, vy = np.median(velocity[inside], axis=0)
+def _candidate(
+    outline: Outline, moving: Mask, motion: MotionEstimate, resolution: Resolution
+) -> Candidate:
+    """Describe an outline: its velocity is the median over its pixels."""
+    y, x = np.nonzero(outline.mask)
+    scale_x, scale_y = resolution.detail_from_processing
+    height, width = motion.motion_map.shape
+    column = np.minimum(((x + outline.box.x0) / scale_x).astype(int), width - 1)
+    row = np.minimum(((y + outline.box.y0) / scale_y).astype(int), height - 1)
+    vx, vy = np.median(motion.velocity[row, column], axis=0)
     return Candidate(
-        box=box,
-        mask=mask[box.slices],
-        velocity=(float(vx), float(vy)),
-        moving=bool((mask & moving)[box.slices].any()),
+        box=outline.box,
+        mask=outline.mask,
+        velocity=(float(vx) * scale_x, float(vy) * scale_y),
+        moving=bool((outline.mask & moving[outline.box.slices]).any()),
     )
 
 

@@ -67,6 +67,20 @@ class MovingArea:
     velocity: tuple[float, float]
 
 
+@dataclass(frozen=True)
+class Outline:
+    """What was cut out: a box of the frame and the mask within it."""
+
+    box: Box
+    mask: Mask
+
+    @classmethod
+    def of(cls, mask: Mask, x0: int = 0, y0: int = 0) -> Outline:
+        """Take a mask that holds something, whose first pixel is (x0, y0) of the frame."""
+        box = Box.around(mask)
+        return cls(box.moved(x0, y0), mask[box.slices])
+
+
 def moving_areas(
     regions: Sequence[Region], motion: MotionEstimate, size: tuple[int, int]
 ) -> list[MovingArea]:
@@ -86,9 +100,9 @@ def moving_areas(
         core = convex_hull(mask & (_share_of_velocity(motion, seed) > _CORE))
         areas.append(
             MovingArea(
-                mask=_enlarged(convex_hull(mask), size),
-                core=_enlarged(core, size),
-                heart=_enlarged(_eroded(core, _SMEAR), size),
+                mask=enlarged(convex_hull(mask), size),
+                core=enlarged(core, size),
+                heart=enlarged(_eroded(core, _SMEAR), size),
                 velocity=(seed.velocity[0] * scale[0], seed.velocity[1] * scale[1]),
             )
         )
@@ -101,8 +115,8 @@ def silhouettes(
     views: Sequence[View],
     tilt: float,
     threshold: float,
-) -> list[Mask]:
-    """Cut the objects out of moving areas, one HxW mask each.
+) -> list[Outline]:
+    """Cut the objects out of moving areas.
 
     Areas that touch are looked at together; what is found is split by the gaps in it.
 
@@ -124,10 +138,8 @@ def silhouettes(
         background = background_in(box, views)
         area = MovingArea(inside[cut], core[cut], heart[cut], (0.0, 0.0))
         mask = standing_out(background, image[cut], area, tilt, threshold)
-        for part in separated(mask):
-            whole = np.zeros(shape, bool)
-            whole[cut] = without_shadow(part, image[cut], background)
-            found.append(whole)
+        parts = [without_shadow(part, image[cut], background) for part in separated(mask)]
+        found += [Outline.of(part, box.x0, box.y0) for part in parts if part.any()]
     return found
 
 
@@ -314,9 +326,10 @@ def _eroded(mask: Mask, radius: int) -> Mask:
     return eroded
 
 
-def _enlarged(mask: Mask, size: tuple[int, int]) -> Mask:
-    enlarged: Mask = cv2.resize(mask.astype(np.float32), size) > 0.5
-    return enlarged
+def enlarged(mask: Mask, size: tuple[int, int]) -> Mask:
+    """Give a mask at another size (width, height)."""
+    resized: Mask = cv2.resize(mask.astype(np.uint8) * np.uint8(255), size) > 127
+    return resized
 
 
 def _union(masks: Sequence[Mask], shape: tuple[int, int]) -> Mask:
