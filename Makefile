@@ -20,7 +20,7 @@ venv: .venv/complete
 	touch $@
 
 demo: venv
-	$(BIN)/python -m turbseg_ros.cli.demo --out out/demo
+	$(BIN)/python -m turbseg_ros.cli demo --out out/demo
 
 test: lint
 	$(BIN)/python -m pytest

@@ -246,7 +246,3 @@ def _parser() -> argparse.ArgumentParser:
         help="mean J below which the demonstration has failed (%(default)s)",
     )
     return parser
-
-
-if __name__ == "__main__":
-    sys.exit(main())
