@@ -1,0 +1,138 @@
+"""Registration of pictures whose motion is known."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from drawn_scene import ByteImage, texture
+
+from turbseg_ros.segmentation.geometry import pixel_grid
+from turbseg_ros.segmentation.stabilization import (
+    align,
+    register_affine,
+    register_translation,
+    visible,
+)
+
+SHAPE = (144, 240)
+GROUND = texture(SHAPE, seed=5, low=0, high=255, grain=2.0)
+
+
+def shift(x: float, y: float) -> np.ndarray:
+    return np.array([[1.0, 0.0, x], [0.0, 1.0, y], [0.0, 0.0, 1.0]])
+
+
+def camera_motion(degrees: float, zoom: float, x: float, y: float) -> np.ndarray:
+    centre = (SHAPE[1] / 2, SHAPE[0] / 2)
+    turned = np.vstack([cv2.getRotationMatrix2D(centre, degrees, zoom), [0, 0, 1]])
+    return shift(x, y) @ turned
+
+
+def warped(image: ByteImage, transform: np.ndarray) -> ByteImage:
+    return cv2.warpAffine(
+        image,
+        transform[:2],
+        (image.shape[1], image.shape[0]),
+        flags=cv2.INTER_CUBIC,
+        borderMode=cv2.BORDER_REFLECT,
+    )
+
+
+def largest_error(found: np.ndarray, true: np.ndarray) -> float:
+    """Distance in pixels between where two transforms take a pixel, where it is worst."""
+    points = pixel_grid(SHAPE).reshape(-1, 1, 2).astype(float)
+    there = cv2.perspectiveTransform(points, found) - cv2.perspectiveTransform(points, true)
+    return float(np.linalg.norm(there, axis=-1).max())
+
+
+@pytest.mark.parametrize("step", [(0, 0), (5, -3), (2.5, 1.25), (-14, 9)], ids=str)
+def test_phase_correlation_finds_a_translation(step: tuple[float, float]) -> None:
+    found = register_translation(GROUND, warped(GROUND, shift(*step)))
+    assert found[:2, :2].tolist() == [[1, 0], [0, 1]]
+    # It only has to put the search for corners on the right track.
+    np.testing.assert_allclose(found[:2, 2], step, atol=0.25)
+
+
+@pytest.mark.parametrize(
+    "motion",
+    [
+        np.eye(3),
+        shift(7.0, -4.0),
+        camera_motion(1.0, 1.0, 0.0, 0.0),
+        camera_motion(-0.5, 1.01, 9.3, 4.6),
+        camera_motion(0.3, 0.99, -12.0, -6.0),
+    ],
+    ids=["none", "shift", "roll", "all", "strong shake"],
+)
+def test_an_affine_motion_is_found_within_a_tenth_of_a_pixel(motion: np.ndarray) -> None:
+    assert largest_error(register_affine(GROUND, warped(GROUND, motion)), motion) < 0.1
+
+
+def with_lorry(image: ByteImage, x: int) -> ByteImage:
+    """Paint a textured object over a third of the picture."""
+    painted = image.copy()
+    painted[30:126, x : x + 120] = texture((96, 120), seed=6, low=0, high=255, grain=2.0)
+    return painted
+
+
+def test_a_big_moving_object_takes_no_part_in_the_ego_motion() -> None:
+    motion = camera_motion(0.3, 1.0, 2.0, -1.0)
+    source = with_lorry(GROUND, 60)
+    target = with_lorry(warped(GROUND, motion), 71)
+    # Only corners at the rim are left.
+    assert largest_error(register_affine(source, target), motion) < 0.2
+
+
+def test_noise_alone_is_no_camera_motion() -> None:
+    random = np.random.default_rng(0)
+    source, target = random.integers(0, 256, (2, *SHAPE)).astype(np.uint8)
+    found = register_affine(source, target)
+    assert np.isfinite(found).all()
+    assert np.abs(found[:2, :2] - np.eye(2)).max() <= 0.1
+
+
+def test_with_too_few_corners_the_translation_stands() -> None:
+    window = np.full(SHAPE, 40, np.uint8)
+    window[50:100, 90:150] = 200
+    target = warped(window, shift(4.0, -2.0))
+    found = register_affine(window, target)
+    np.testing.assert_array_equal(found, register_translation(window, target))
+    np.testing.assert_allclose(found[:2, 2], (4.0, -2.0), atol=0.5)
+
+
+@pytest.mark.parametrize("grey", [1, 128, 255])
+def test_a_plain_picture_has_not_moved(grey: int) -> None:
+    plain = np.full(SHAPE, grey, np.uint8)
+    np.testing.assert_allclose(register_affine(plain, plain), np.eye(3), atol=1e-3)
+
+
+@pytest.mark.xfail(
+    strict=True, reason="cv2.phaseCorrelate puts two black pictures half a picture apart"
+)
+@pytest.mark.parametrize("after", [np.zeros(SHAPE, np.uint8), GROUND], ids=["black", "scene"])
+def test_a_black_picture_has_not_moved(after: ByteImage) -> None:
+    black = np.zeros(SHAPE, np.uint8)
+    np.testing.assert_allclose(register_affine(black, after), np.eye(3), atol=1e-3)
+
+
+def test_aligning_undoes_the_motion_where_the_other_frame_sees_it() -> None:
+    motion = camera_motion(0.5, 1.01, 6.0, -3.0)
+    aligned = align(warped(GROUND, motion), motion)
+    inside = visible(SHAPE, motion, margin=2.0)
+    assert 0.8 < inside.mean() < 1.0
+    difference = np.abs(aligned.astype(float) - GROUND)[inside]
+    assert np.percentile(difference, 99) < 8.0
+
+
+def test_a_pixel_is_visible_when_the_other_frame_holds_it() -> None:
+    seen = visible((4, 6), shift(2.0, -1.0))
+    expected = np.zeros((4, 6), bool)
+    expected[1:, :4] = True
+    np.testing.assert_array_equal(seen, expected)
+
+
+def test_a_margin_keeps_off_the_other_frames_border() -> None:
+    expected = np.zeros((6, 8), bool)
+    expected[2:4, 2:6] = True
+    np.testing.assert_array_equal(visible((6, 8), np.eye(3), margin=2.0), expected)
