@@ -63,6 +63,16 @@ class Box:
         """Give the box that lies (dx, dy) further."""
         return Box(self.x0 + dx, self.y0 + dy, self.x1 + dx, self.y1 + dy)
 
+    def common(self, other: Box) -> Box | None:
+        """Give what two boxes have in common, None if nothing."""
+        box = Box(
+            max(self.x0, other.x0),
+            max(self.y0, other.y0),
+            min(self.x1, other.x1),
+            min(self.y1, other.y1),
+        )
+        return box if box.x0 < box.x1 and box.y0 < box.y1 else None
+
     @classmethod
     def around(cls, mask: Mask) -> Box:
         """Give the smallest box around a mask that holds something."""

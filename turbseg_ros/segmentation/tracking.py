@@ -26,6 +26,8 @@ _UNMATCHABLE = 1e6
 # How far a centroid may stray from its prediction, in diagonals of the object.
 _REACH = 0.6
 _TRAIL_LENGTH = 60
+# Share of a candidate that must lie where an object is expected for it to be a part of it.
+_PART = 0.5
 # Share of the way its flow claims that a track must really have come to become an object, and to
 # stay one: flow bleeds past an object's edge, and what sways or ripples gets nowhere.
 _HONESTY = 0.5
@@ -81,7 +83,8 @@ class Track:
     @property
     def position(self) -> Point:
         """Estimated centroid (x, y)."""
-        return np.asarray(self.kalman.statePost[:2, 0], dtype=np.float64)
+        # A copy: OpenCV gives a view of what the next prediction overwrites.
+        return np.array(self.kalman.statePost[:2, 0], dtype=np.float64)
 
     @property
     def size(self) -> float:
@@ -234,6 +237,7 @@ class ObjectTracker:
         self._restless = [
             place.carried(ego_motion) for place in self._restless if place.age < _RESTLESS_SPAN
         ]
+        candidates = self._reunited(candidates)
         matched = self._match(candidates, tilt)
         observations = []
         for index, candidate in enumerate(candidates):
@@ -252,6 +256,22 @@ class ObjectTracker:
             track.misses = 0 if id(track) in seen else track.misses + 1
         self._drop_lost()
         return observations
+
+    def _reunited(self, candidates: Sequence[Candidate]) -> list[Candidate]:
+        """Join candidates that are parts of one object, say on both sides of a pole.
+
+        A part lies mostly where one object is expected, and on no other more.
+        """
+        objects = [track for track in self._tracks if track.confirmed]
+        parts: dict[int, list[Candidate]] = {}
+        result = []
+        for candidate in candidates:
+            shares = [_share_on(track, candidate) for track in objects]
+            if shares and max(shares) > _PART:
+                parts.setdefault(int(np.argmax(shares)), []).append(candidate)
+            else:
+                result.append(candidate)
+        return result + [_joined(members) for members in parts.values()]
 
     def _match(self, candidates: Sequence[Candidate], tilt: float) -> dict[int, Track]:
         if not candidates or not self._tracks:
@@ -324,9 +344,6 @@ def _carry(track: Track, ego_motion: Matrix) -> None:
     state[2:, 0] = linear @ state[2:, 0]
     track.kalman.statePost = state
     track.kalman.predict()
-    # Without a measurement the prediction is what is known.
-    track.kalman.statePost = track.kalman.statePre
-    track.kalman.errorCovPost = track.kalman.errorCovPre
     track.birthplace = linear @ track.birthplace + ego_motion[:2, 2]
     track.trail = [linear @ point + ego_motion[:2, 2] for point in track.trail]
 
@@ -337,6 +354,35 @@ def _correct(track: Track, candidate: Candidate) -> None:
     track.hits += 1
     track.claims.append(float(np.hypot(*candidate.velocity)))
     track.still = 0 if candidate.moving else track.still + 1
+
+
+def _share_on(track: Track, candidate: Candidate) -> float:
+    """Give the share of a candidate that lies where the track's mask is expected now."""
+    dx, dy = np.rint(track.position - track.candidate.centroid).astype(int)
+    expected, found = track.candidate.box.moved(int(dx), int(dy)), candidate.box
+    common = expected.common(found)
+    if common is None:
+        return 0.0
+    there = track.candidate.mask[common.moved(-expected.x0, -expected.y0).slices]
+    here = candidate.mask[common.moved(-found.x0, -found.y0).slices]
+    return np.count_nonzero(there & here) / max(candidate.area, 1)
+
+
+def _joined(parts: Sequence[Candidate]) -> Candidate:
+    """Make one candidate of several; the largest one's velocity is the whole's."""
+    if len(parts) == 1:
+        return parts[0]
+    box = Box(
+        min(part.box.x0 for part in parts),
+        min(part.box.y0 for part in parts),
+        max(part.box.x1 for part in parts),
+        max(part.box.y1 for part in parts),
+    )
+    mask = np.zeros(box.shape, bool)
+    for part in parts:
+        mask[part.box.moved(-box.x0, -box.y0).slices] |= part.mask
+    largest = max(parts, key=lambda part: part.area)
+    return Candidate(box, mask, largest.velocity, any(part.moving for part in parts))
 
 
 def _cost(track: Track, candidate: Candidate, tilt: float) -> float:
