@@ -59,11 +59,17 @@ class LabelsByStamp:
     They are held compressed, for those of a long high-resolution bag don't fit into memory.
     """
 
-    def __init__(self, items: Iterable[StampedLabels]) -> None:
-        self._compressed = {item.stamp: _compressed(item.labels) for item in items}
+    def __init__(self, items: Iterable[StampedLabels] = ()) -> None:
+        self._compressed: dict[int, npt.NDArray[np.uint8]] = {}
+        for item in items:
+            self.add(item)
 
     def __len__(self) -> int:
         return len(self._compressed)
+
+    def add(self, item: StampedLabels) -> None:
+        """Take one more label image; of two with the same stamp the later counts."""
+        self._compressed[item.stamp] = _compressed(item.labels)
 
     def at(self, stamp: int) -> Labels | None:
         """Give the labels of the frame with this stamp, None when there are none."""
