@@ -48,7 +48,7 @@ _SMALLEST_OUTLINE = 12
 # Pixels by which objects are widened before what is left counts as background.
 _GUARD = 2
 # A known object counts as resting when motion was found on less than this share of it.
-_RESTING = 0.3
+_RESTING = 0.6
 
 
 @dataclass(frozen=True)
