@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Sequence
+from typing import Protocol
 
 from turbseg_ros.evaluation.labels import LabelsByStamp, StampedLabels
+from turbseg_ros.evaluation.metrics import Labels
 from turbseg_ros.evaluation.replay import Segmenter, segment
 from turbseg_ros.evaluation.scores import BagScores, Measurements, Scorer
 from turbseg_ros.segmentation.frame import Frame, SegmentationResult
@@ -15,18 +17,31 @@ class EvaluationError(Exception):
     """Labels and truth that don't go together; the text says why."""
 
 
+class Spectator(Protocol):
+    """Someone who is shown every result beside its truth, such as a draughtsman."""
+
+    def add(self, result: SegmentationResult, truth: Labels | None) -> None:
+        """Take the next result, and the truth of its frame where there is one."""
+
+
 def evaluate_segmenter(
-    bag: str, frames: Iterable[Frame], segmenter: Segmenter, truth: LabelsByStamp
+    bag: str,
+    frames: Iterable[Frame],
+    segmenter: Segmenter,
+    truth: LabelsByStamp,
+    spectators: Sequence[Spectator] = (),
 ) -> BagScores:
     """Segment the frames of a bag and score the results.
 
     :raises EvaluationError: when no frame has a truth, or one of another size.
     """
     measured = _MeasuredSegmenter(segmenter)
-    labels = (
-        StampedLabels(result.frame.stamp, result.labels) for result in segment(frames, measured)
-    )
-    return _evaluate(bag, labels, truth, measured.measurements)
+    scorer = _TruthScorer(bag, truth)
+    for result in segment(frames, measured):
+        true_labels = scorer.add(StampedLabels(result.frame.stamp, result.labels))
+        for spectator in spectators:
+            spectator.add(result, true_labels)
+    return scorer.scores(measured.measurements)
 
 
 def evaluate_labels(bag: str, labels: Iterable[StampedLabels], truth: LabelsByStamp) -> BagScores:
@@ -34,31 +49,40 @@ def evaluate_labels(bag: str, labels: Iterable[StampedLabels], truth: LabelsBySt
 
     :raises EvaluationError: when no labels have a truth, or one of another size.
     """
-    return _evaluate(bag, labels, truth, Measurements())
+    scorer = _TruthScorer(bag, truth)
+    for prediction in labels:
+        scorer.add(prediction)
+    return scorer.scores(Measurements())
 
 
-def _evaluate(
-    bag: str,
-    predictions: Iterable[StampedLabels],
-    truth: LabelsByStamp,
-    measurements: Measurements,
-) -> BagScores:
-    scorer = Scorer()
-    frames = 0
-    for prediction in predictions:
-        frames += 1
-        true_labels = truth.at(prediction.stamp)
+class _TruthScorer:
+    """Scores the label images of a bag against the truth with the same stamps."""
+
+    def __init__(self, bag: str, truth: LabelsByStamp) -> None:
+        self._bag = bag
+        self._truth = truth
+        self._scorer = Scorer()
+        self._frames = 0
+
+    def add(self, prediction: StampedLabels) -> Labels | None:
+        """Score the next label image; give the truth that it was held against."""
+        self._frames += 1
+        true_labels = self._truth.at(prediction.stamp)
         if true_labels is not None:
             try:
-                scorer.add(prediction.labels, true_labels)
+                self._scorer.add(prediction.labels, true_labels)
             except ValueError as error:
-                raise EvaluationError(f"{bag}: {error}") from error
-    scores = scorer.scores(bag, frames, measurements)
-    if not scores.scored_frames:
-        raise EvaluationError(
-            f"{bag}: none of {frames} frames has a truth with its stamp ({len(truth)} in the bag)"
-        )
-    return scores
+                raise EvaluationError(f"{self._bag}: {error}") from error
+        return true_labels
+
+    def scores(self, measurements: Measurements) -> BagScores:
+        scores = self._scorer.scores(self._bag, self._frames, measurements)
+        if not scores.scored_frames:
+            raise EvaluationError(
+                f"{self._bag}: none of {self._frames} frames has a truth with its stamp "
+                f"({len(self._truth)} in the bag)"
+            )
+        return scores
 
 
 class _MeasuredSegmenter:

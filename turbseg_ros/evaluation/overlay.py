@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from turbseg_ros.evaluation.metrics import Labels
 from turbseg_ros.segmentation.frame import Image, MovingObject, SegmentationResult
 
 Colour = tuple[int, int, int]
@@ -104,6 +105,21 @@ class OutlineAnnotator:
             ]
             colour = colour_of(moving_object.id)
             cv2.polylines(canvas.image, contours, True, colour, 1, cv2.LINE_AA, _SHIFT)
+
+
+@dataclass(frozen=True)
+class TruthAnnotator:
+    """The outline of what truly moves, in white: `truth` is a label image of the frame's size."""
+
+    truth: Labels
+
+    def annotate(self, canvas: Canvas, result: SegmentationResult) -> None:
+        """Draw on `canvas`, in place."""
+        contours, _ = cv2.findContours(
+            (self.truth != 0).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE
+        )
+        on_canvas = [canvas.fixed_point(contour.reshape(-1, 2)) for contour in contours]
+        cv2.polylines(canvas.image, on_canvas, True, _WHITE, 1, cv2.LINE_AA, _SHIFT)
 
 
 @dataclass(frozen=True)

@@ -48,6 +48,10 @@ class BagScores:
     ms_p95: float | None
     tilt_px: float | None
 
+    def without_ids(self) -> BagScores:
+        """Give the scores of something that doesn't claim to follow objects."""
+        return dataclasses.replace(self, id_switches=None)
+
 
 @dataclass
 class Measurements:
@@ -137,9 +141,14 @@ def mean_scores(bags: Sequence[BagScores]) -> dict[str, float | None]:
 
 
 def write_json(
-    path: Path, bags: Sequence[BagScores], parameters: Mapping[str, bool | int | float | str]
+    path: Path,
+    bags: Sequence[BagScores],
+    parameters: Mapping[str, bool | int | float | str],
+    experiments: Mapping[str, object] | None = None,
 ) -> None:
     """Write the scores of bags, their means and the parameters they were reached with.
+
+    `experiments` are what else there is to tell, each under its own key.
 
     :raises OSError: when the file can't be written; an older one then stays as it was.
     """
@@ -147,44 +156,58 @@ def write_json(
         "bags": [dataclasses.asdict(bag) for bag in bags],
         "mean": mean_scores(bags),
         "parameters": dict(parameters),
+        **(experiments or {}),
     }
+    write_whole(path, json.dumps(content, indent=2, allow_nan=False) + "\n")
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a text under its name when it is complete.
+
+    :raises OSError: when the file can't be written; an older one then stays as it was.
+    """
     partial = path.with_name(f".{path.name}.partial")
     try:
-        partial.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n")
+        partial.write_text(text, encoding="utf-8")
         partial.replace(path)
     finally:
         partial.unlink(missing_ok=True)
 
 
 @dataclass(frozen=True)
-class _Column:
+class Column:
+    """A figure in tables for people: its title, its name in `BagScores` and what it means."""
+
     title: str
     name: str
     format: str
+    meaning: str
 
     @property
     def width(self) -> int:
+        """Characters that the title and usual values take."""
         return max(len(self.title), 6)
 
-    def cell(self, figures: Mapping[str, Any]) -> str:
+    def text(self, figures: Mapping[str, Any]) -> str:
+        """Give the figure as it is printed, a dash when there is none."""
         value = figures[self.name]
-        return ("-" if value is None else format(value, self.format)).rjust(self.width)
+        return "-" if value is None else format(value, self.format)
 
 
-_COLUMNS = (
-    _Column("frames", "frames", ".0f"),
-    _Column("scored", "scored_frames", ".0f"),
-    _Column("J", "j", ".3f"),
-    _Column("Dice", "dice", ".3f"),
-    _Column("G", "g", ".3f"),
-    _Column("bound F", "boundary_f", ".3f"),
-    _Column("alarms", "false_alarm_frames", ".4g"),
-    _Column("alarm %", "false_alarm_area", ".3%"),
-    _Column("id sw", "id_switches", ".4g"),
-    _Column("fps", "fps", ".1f"),
-    _Column("ms p50", "ms_p50", ".1f"),
-    _Column("ms p95", "ms_p95", ".1f"),
-    _Column("tilt px", "tilt_px", ".2f"),
+COLUMNS = (
+    Column("frames", "frames", ".0f", "frames that were segmented"),
+    Column("scored", "scored_frames", ".0f", "frames that have a truth"),
+    Column("J", "j", ".3f", "intersection over union of what was found and the truth"),
+    Column("Dice", "dice", ".3f", "twice the intersection over the sum of both areas"),
+    Column("G", "g", ".3f", "mean of J and Dice"),
+    Column("bound F", "boundary_f", ".3f", "F measure of the outlines, as in the DAVIS benchmark"),
+    Column("alarms", "false_alarm_frames", ".4g", "frames in which something was found in vain"),
+    Column("alarm %", "false_alarm_area", ".3%", "share of the image found where nothing moves"),
+    Column("id sw", "id_switches", ".4g", "times that a true object changed its id"),
+    Column("fps", "fps", ".1f", "frames a second of segmentation; runs share the cores"),
+    Column("ms p50", "ms_p50", ".1f", "median time that a frame took, milliseconds"),
+    Column("ms p95", "ms_p95", ".1f", "time that one frame in twenty exceeded, milliseconds"),
+    Column("tilt px", "tilt_px", ".2f", "turbulence as it was measured: rms tilt an axis, pixels"),
 )
 
 
@@ -192,34 +215,36 @@ _COLUMNS = (
 class Table:
     """A plain-text table of scores that can be printed line by line.
 
-    `bag_width` is the width of its first column.
+    `title` heads its first column, which is `name_width` characters wide.
     """
 
-    bag_width: int
+    title: str
+    name_width: int
 
     @classmethod
-    def of(cls, bags: Sequence[str]) -> Table:
-        """Lay out a table for bags of these names."""
-        return cls(max(map(len, (*bags, "mean"))))
+    def of(cls, names: Sequence[str], title: str = "bag") -> Table:
+        """Lay out a table for bags, or whatever `title` says, of these names."""
+        return cls(title, max(map(len, (*names, title, "mean"))))
 
     @property
     def head(self) -> str:
         """The line of titles."""
-        return self._line("bag", [column.title.rjust(column.width) for column in _COLUMNS])
+        return self._line(self.title, [column.title for column in COLUMNS])
 
     def row(self, scores: BagScores) -> str:
         """Give the line of one bag."""
         return self._row(scores.bag, dataclasses.asdict(scores))
 
-    def mean(self, bags: Sequence[BagScores]) -> str:
-        """Give the line of the means."""
-        return self._row("mean", mean_scores(bags))
+    def mean(self, bags: Sequence[BagScores], name: str = "mean") -> str:
+        """Give the line of the means over bags."""
+        return self._row(name, mean_scores(bags))
 
     def _row(self, name: str, figures: Mapping[str, Any]) -> str:
-        return self._line(name, [column.cell(figures) for column in _COLUMNS])
+        return self._line(name, [column.text(figures) for column in COLUMNS])
 
     def _line(self, name: str, cells: Sequence[str]) -> str:
-        return "  ".join((name.ljust(self.bag_width), *cells))
+        padded = (cell.rjust(column.width) for cell, column in zip(cells, COLUMNS, strict=True))
+        return "  ".join((name.ljust(self.name_width), *padded))
 
 
 def _mean(values: Sequence[float]) -> float | None:
