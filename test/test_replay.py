@@ -16,6 +16,7 @@ from turbseg_ros.bag.reader import BagReader
 from turbseg_ros.bag.topics import IMAGE_TOPIC, LABELS_TOPIC, TRUTH_TOPIC
 from turbseg_ros.bag.writer import BagWriter
 from turbseg_ros.cli import evaluate, replay
+from turbseg_ros.evaluation import rivals
 from turbseg_ros.evaluation.labels import read_labels
 from turbseg_ros.parameters import Parameters
 from turbseg_ros.ros.image_conversion import message_from_image
@@ -55,7 +56,7 @@ class SquareFinder:
 @pytest.fixture(autouse=True)
 def known_segmenter(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.setattr(replay, "MotionSegmenter", SquareFinder)
-    monkeypatch.setattr(evaluate, "MotionSegmenter", SquareFinder)
+    monkeypatch.setattr(rivals, "MotionSegmenter", SquareFinder)
     return
 
 
@@ -166,8 +167,8 @@ def test_parameters_come_from_file_and_then_from_the_command_line(
     executable: str, bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     given = []
-    module = {"replay": replay, "evaluate": evaluate}[executable]
-    monkeypatch.setattr(module, "MotionSegmenter", lambda p: given.append(p) or SquareFinder(p))
+    module, maker = {"replay": (replay, replay), "evaluate": (evaluate, rivals)}[executable]
+    monkeypatch.setattr(maker, "MotionSegmenter", lambda p: given.append(p) or SquareFinder(p))
     file = tmp_path / "parameters.yaml"
     file.write_text("turbseg:\n  ros__parameters:\n    max_objects: 5\n    flow: {interval: 3}\n")
     arguments = [str(bag), "--params-file", str(file), "-p", "flow.interval:=2"]
@@ -230,7 +231,7 @@ def test_one_bag_that_fails_does_not_stop_the_others(
     other = write_bag(tmp_path / "other")
     file = tmp_path / "scores.json"
     missing = tmp_path / "missing"
-    arguments = [str(bag), str(missing), str(other), "--json", str(file)]
+    arguments = [str(bag), str(missing), str(other), "--json", str(file), "--workers", "1"]
     assert evaluate.main(arguments) == 1
     assert [s["bag"] for s in json.loads(file.read_text())["bags"]] == [str(bag), str(other)]
     assert f"no such bag: {missing}" in capsys.readouterr().err

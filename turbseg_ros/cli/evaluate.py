@@ -3,82 +3,250 @@
 from __future__ import annotations
 
 import argparse
-import logging
+import contextlib
+import functools
+import importlib.util
+import os
+import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
-from turbseg_ros.bag.errors import BagError
+from tqdm import tqdm
+
 from turbseg_ros.bag.reader import BagReader
+from turbseg_ros.bag.topics import LABELS_TOPIC, TRUTH_TOPIC
+from turbseg_ros.cli.arguments import positive_count
 from turbseg_ros.cli.errors import UsageError, executable
 from turbseg_ros.cli.options import add_parameter_options, parameters_from, with_progress
-from turbseg_ros.evaluation.evaluate import (
-    EvaluationError,
-    evaluate_labels,
-    evaluate_segmenter,
+from turbseg_ros.evaluation.evaluate import EvaluationError, evaluate_labels
+from turbseg_ros.evaluation.experiments import (
+    Experiment,
+    ScoredExperiment,
+    ablation,
+    against_rivals,
+    shake_curve,
+    text_table,
+    tilt_curve,
 )
-from turbseg_ros.evaluation.labels import (
-    LABELS_TOPIC,
-    TRUTH_TOPIC,
-    LabelsByStamp,
-    read_labels,
+from turbseg_ros.evaluation.labels import LabelsByStamp, read_labels
+from turbseg_ros.evaluation.report import Report, ReportError, ReportWriter
+from turbseg_ros.evaluation.rivals import RIVALS, Method, UnknownRivalError, rivals
+from turbseg_ros.evaluation.running import (
+    ClusterError,
+    Failure,
+    Runner,
+    local_cluster,
+    remote_cluster,
+    run_here,
+    run_on,
 )
-from turbseg_ros.evaluation.replay import BagFrames
-from turbseg_ros.evaluation.scores import BagScores, Table, write_json
+from turbseg_ros.evaluation.scores import Table, write_json
+from turbseg_ros.evaluation.trials import Source, Trial, TrialResult
 from turbseg_ros.parameters import Parameters
-from turbseg_ros.segmentation.pipeline import MotionSegmenter
+
+_METHOD = "turbseg"
+# Stronger ones than this leave nothing to see.
+_STRONGEST = 20.0
 
 
 @executable("turbseg_evaluate")
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the executable; give its exit status, 1 when a bag couldn't be scored."""
     options = _parser().parse_args(arguments)
-    if options.predictions is not None and len(options.bags) > 1:
-        raise UsageError("--predictions are those of one BAG; give one")
+    _check(options)
     parameters = parameters_from(options)
+    try:
+        if options.predictions is not None:
+            return _score_recorded(options)
+        return _evaluate(options, parameters, sys.argv[1:] if arguments is None else arguments)
+    except (ClusterError, EvaluationError, ReportError, UnknownRivalError) as error:
+        raise UsageError(str(error)) from error
+
+
+def _check(options: argparse.Namespace) -> None:
+    if options.predictions is not None:
+        if len(options.bags) > 1:
+            raise UsageError("--predictions are those of one BAG; give one")
+        for name in ("rivals", "ablation", "tilt_curve", "shake_curve", "report"):
+            if getattr(options, name):
+                option = name.replace("_", "-")
+                raise UsageError(f"--{option} segments anew; leave out --predictions")
+    if len(set(options.bags)) < len(options.bags):
+        raise UsageError("a BAG is named twice")
     if options.json is not None:
         options.json.parent.mkdir(parents=True, exist_ok=True)
+    if options.report is not None:
+        options.report.mkdir(parents=True, exist_ok=True)
 
-    table = Table.of([str(bag) for bag in options.bags])
-    print(table.head)
-    scored: list[BagScores] = []
-    for bag in options.bags:
-        scores = _evaluated_or_reported(bag, parameters, options)
-        if scores is not None:
-            print(table.row(scores), flush=True)
-            scored.append(scores)
+
+def _score_recorded(options: argparse.Namespace) -> int:
+    """Score labels that were recorded, against the truth in the bag that they were found in."""
+    (bag,) = options.bags
+    truth = LabelsByStamp(read_labels(BagReader(bag), options.truth_topic))
+    predictions = read_labels(BagReader(options.predictions), options.labels_topic)
+    scores = evaluate_labels(str(bag), predictions, truth)
+    table = Table.of([scores.bag])
+    print(f"{table.head}\n{table.row(scores)}")
+    if options.json is not None:
+        # Who made them, and with which parameters, is not known.
+        write_json(options.json, [scores], {})
+    return 0
+
+
+def _evaluate(
+    options: argparse.Namespace, parameters: Parameters, arguments: Sequence[str]
+) -> int:
+    """Segment and score the bags, and whatever is to be compared on those that can be scored."""
+    writer = None if options.report is None else ReportWriter()
+    trials = _trials(options, parameters)
+    planned = [
+        trial for each in _experiments(options, parameters, trials) for trial in each.trials
+    ]
+    with _runner(options, len({*trials, *planned})) as runner:
+        evaluation = _Evaluation(runner)
+        _print_scores(evaluation, trials)
+        scored = [trial for trial in trials if trial in evaluation.results]
+        experiments = _experiments(options, parameters, scored)
+        for _ in evaluation.run([trial for each in experiments for trial in each.trials]):
+            pass
+    compared = [ScoredExperiment.of(each, evaluation.results) for each in experiments]
+    for each in compared:
+        print("", *text_table(each), sep="\n")
+    if scored and options.json is not None:
+        scores = [evaluation.results[trial].scores for trial in scored]
+        tables = {each.experiment.key: each.as_json() for each in compared}
+        write_json(options.json, scores, parameters.as_mapping(), tables)
+    if scored and writer is not None:
+        command = ["turbseg_evaluate", *map(shlex.quote, arguments)]
+        report = Report(command, parameters, scored, compared, evaluation.results)
+        print(f"\n{writer.write(options.report, report)}")
+    return 1 if evaluation.failed else 0
+
+
+def _trials(options: argparse.Namespace, parameters: Parameters) -> list[Trial]:
+    """Give one trial of the method for each bag."""
+    method = Method(_METHOD, parameters)
+    return [
+        Trial(
+            # Another process may have another working directory.
+            Source(str(bag), bag.absolute(), options.image_topic, options.truth_topic),
+            method,
+            illustrated=options.report is not None,
+        )
+        for bag in options.bags
+    ]
+
+
+def _experiments(
+    options: argparse.Namespace, parameters: Parameters, trials: Sequence[Trial]
+) -> list[Experiment]:
+    """Plan what was asked for beside the scores of the method in `trials`."""
+    if not trials:
+        return []
+    experiments = []
+    chosen = rivals(options.rivals)
+    if chosen:
+        experiments.append(against_rivals(trials, chosen))
+    contenders = [trials[0].contender, *chosen]
+    if options.tilt_curve:
+        experiments.append(tilt_curve(trials, contenders, options.tilt_curve, options.seed))
+    if options.shake_curve:
+        experiments.append(shake_curve(trials, contenders, options.shake_curve, options.seed))
+    if options.ablation:
+        experiments.append(ablation(trials, parameters))
+    return experiments
+
+
+class _Evaluation:
+    """Runs trials, none twice, and keeps their results; says what failed and why, once."""
+
+    def __init__(self, runner: Runner) -> None:
+        self._runner = runner
+        self._reasons: set[str] = set()
+        self.results: dict[Trial, TrialResult] = {}
+
+    @property
+    def failed(self) -> bool:
+        """Whether a trial came to nothing."""
+        return bool(self._reasons)
+
+    def run(self, trials: Iterable[Trial]) -> Iterator[TrialResult]:
+        """Run the trials that have not been run; give the results of those that succeed."""
+        new = [trial for trial in dict.fromkeys(trials) if trial not in self.results]
+        runs = zip(new, self._runner(new), strict=True)
+        progress = with_progress(runs, "evaluation", total=len(new), unit="run")
+        for trial, outcome in progress:
+            if isinstance(outcome, Failure):
+                self._report(outcome.reason)
+            else:
+                self.results[trial] = outcome
+                yield outcome
+
+    def _report(self, reason: str) -> None:
+        if reason not in self._reasons:
+            self._reasons.add(reason)
+            tqdm.write(f"turbseg_evaluate: {reason}", file=sys.stderr)
+
+
+def _print_scores(evaluation: _Evaluation, trials: Sequence[Trial]) -> None:
+    """Run the method on each bag and print a line of scores as soon as they are there."""
+    table = Table.of([trial.source.name for trial in trials])
+    print(table.head, flush=True)
+    scored = []
+    for result in evaluation.run(trials):
+        scored.append(result.scores)
+        tqdm.write(table.row(result.scores))
     if len(scored) > 1:
-        print(table.mean(scored))
-    if options.json is not None and scored:
-        # Who made recorded predictions, and with which parameters, is not known.
-        known = {} if options.predictions is not None else parameters.as_mapping()
-        write_json(options.json, scored, known)
-    return 0 if len(scored) == len(options.bags) else 1
+        print(table.mean(scored), flush=True)
 
 
-def _evaluated_or_reported(
-    bag: Path, parameters: Parameters, options: argparse.Namespace
-) -> BagScores | None:
-    """Score a bag; when that fails, say so and give None, for the sake of the other bags."""
+@contextlib.contextmanager
+def _runner(options: argparse.Namespace, trials: int) -> Iterator[Runner]:
+    """Give what runs so many trials, as the options say: here, or on a cluster.
+
+    :raises ClusterError: when there is no cluster to be had.
+    """
+    workers = min(options.workers or _usable_workers(), trials)
+    if options.scheduler is not None:
+        with remote_cluster(options.scheduler) as client:
+            yield functools.partial(run_on, client)
+    elif workers > 1:
+        with local_cluster(workers) as client:
+            yield functools.partial(run_on, client)
+    else:
+        yield functools.partial(
+            run_here, watch=lambda trial: functools.partial(with_progress, title=trial.title)
+        )
+
+
+def _usable_workers() -> int:
+    """Give how many processes there is use for: the cores this one may use, if Dask is there."""
+    if importlib.util.find_spec("distributed") is None:
+        return 1
+    return len(os.sched_getaffinity(0))
+
+
+def _names(text: str) -> list[str]:
+    return [name.strip() for name in text.split(",") if name.strip()]
+
+
+def _strengths(text: str) -> list[float]:
+    """Read strengths in pixels, and put them in order."""
     try:
-        return _evaluated(bag, parameters, options)
-    except (BagError, EvaluationError) as error:
-        print(f"turbseg_evaluate: {error}", file=sys.stderr)
-    except Exception:
-        logging.getLogger(__name__).exception("%s could not be evaluated", bag)
-    return None
+        strengths = sorted({float(item) for item in text.split(",")})
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"{text}: give pixels, as 0,0.5,1") from error
+    if not all(0 <= strength <= _STRONGEST for strength in strengths):
+        raise argparse.ArgumentTypeError(f"{text}: give 0 to {_STRONGEST:g} pixels")
+    return strengths
 
 
-def _evaluated(bag: Path, parameters: Parameters, options: argparse.Namespace) -> BagScores:
-    reader = BagReader(bag)
-    truth = LabelsByStamp(read_labels(reader, options.truth_topic))
-    if options.predictions is not None:
-        predictions = read_labels(BagReader(options.predictions), options.labels_topic)
-        return evaluate_labels(str(bag), predictions, truth)
-    frames = BagFrames(reader, reader.find_image_topic(options.image_topic))
-    return evaluate_segmenter(
-        str(bag), with_progress(frames, bag.name), MotionSegmenter(parameters), truth
-    )
+def _seed(text: str) -> int:
+    seed = int(text)
+    if seed < 0:
+        raise argparse.ArgumentTypeError(f"{text} is below 0")
+    return seed
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -96,6 +264,11 @@ def _parser() -> argparse.ArgumentParser:
         "--truth-topic", default=TRUTH_TOPIC, metavar="T", help="true labels (%(default)s)"
     )
     parser.add_argument("--json", type=Path, metavar="F", help="also write the scores as JSON")
+    parser.add_argument(
+        "--report", type=Path, metavar="DIR", help="also write DIR/index.html, with pictures"
+    )
+    _add_comparisons(parser)
+    _add_cluster(parser)
     recorded = parser.add_argument_group("recorded results, instead of segmenting")
     recorded.add_argument(
         "--predictions", type=Path, metavar="BAG", help="bag with the labels found in BAG"
@@ -105,6 +278,54 @@ def _parser() -> argparse.ArgumentParser:
     )
     add_parameter_options(parser)
     return parser
+
+
+def _add_comparisons(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("comparisons, a table each")
+    group.add_argument(
+        "--rivals",
+        type=_names,
+        default=[],
+        metavar="NAMES",
+        help=f"other methods on the same frames, and in the curves: some of {','.join(RIVALS)}",
+    )
+    group.add_argument(
+        "--tilt-curve",
+        type=_strengths,
+        metavar="PX,PX",
+        help="J under added turbulence: rms tilt an axis, as 0,0.5,1,2,3",
+    )
+    group.add_argument(
+        "--shake-curve",
+        type=_strengths,
+        metavar="PX,PX",
+        help="J under added shake: rms step an axis from frame to frame, as 0,1,2,4",
+    )
+    group.add_argument(
+        "--ablation", action="store_true", help="the method with one thing changed at a time"
+    )
+    group.add_argument(
+        "--seed",
+        type=_seed,
+        default=0,
+        metavar="N",
+        help="of added turbulence and shake (%(default)s)",
+    )
+
+
+def _add_cluster(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group(
+        "processes", "What runs side by side shares the processor, and its fps and ms show that."
+    )
+    group.add_argument(
+        "--workers",
+        type=positive_count,
+        metavar="N",
+        help="processes on this machine (as many as it has cores; 1 without Dask)",
+    )
+    group.add_argument(
+        "--scheduler", metavar="ADDRESS", help="Dask scheduler to use, as tcp://host:8786"
+    )
 
 
 if __name__ == "__main__":

@@ -1,0 +1,237 @@
+"""An evaluation as one HTML page that needs nothing else: tables, curves, pictures.
+
+Jinja is imported only when a report is asked for.
+"""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import importlib.metadata
+import importlib.resources
+import platform
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from turbseg_ros.evaluation.chart import Chart, Line
+from turbseg_ros.evaluation.experiments import ScoredExperiment, ScoredRow
+from turbseg_ros.evaluation.pictures import Illustrations, Picture
+from turbseg_ros.evaluation.scores import COLUMNS, BagScores, mean_scores, write_whole
+from turbseg_ros.evaluation.trials import Trial, TrialResult
+from turbseg_ros.parameters import Parameters, Value
+
+PAGE = "index.html"
+"""The name of a report's file."""
+
+_TEMPLATE = "report.html.jinja"
+# Height of a chart that goes with pictures.
+_LOW = 200
+# Figures that say more of a bag than of what segmented it.
+_OF_THE_BAG = ("frames", "scored_frames", "tilt_px")
+
+
+class ReportError(Exception):
+    """A report that can't be made; the text says why and what to do."""
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a report tells of: the method's `trials`, one a bag, what it was compared with.
+
+    `command` holds the words of the line that made it, `results` what came of the trials, the
+    experiments' among them.
+    """
+
+    command: Sequence[str]
+    parameters: Parameters
+    trials: Sequence[Trial]
+    experiments: Sequence[ScoredExperiment]
+    results: Mapping[Trial, TrialResult]
+
+
+class ReportWriter:
+    """Makes the page of a report.
+
+    :raises ReportError: when Jinja is not installed.
+    """
+
+    def __init__(self) -> None:
+        try:
+            import jinja2
+        except ImportError as error:
+            raise ReportError("a report needs Jinja: pip install jinja2") from error
+        environment = jinja2.Environment(
+            autoescape=True,
+            undefined=jinja2.StrictUndefined,
+            trim_blocks=True,
+            lstrip_blocks=True,
+        )
+        text = importlib.resources.files(__package__).joinpath(_TEMPLATE).read_text("utf-8")
+        self._template = environment.from_string(text)
+
+    def write(self, directory: Path, report: Report) -> Path:
+        """Write the page into a directory; give its path.
+
+        :raises OSError: when it can't be written; an older page then stays as it was.
+        """
+        path = directory / PAGE
+        write_whole(path, self.page(report))
+        return path
+
+    def page(self, report: Report) -> str:
+        """Give the page as HTML."""
+        scores = [report.results[trial].scores for trial in report.trials]
+        return self._template.render(
+            command=report.command,
+            columns=COLUMNS,
+            comparable=[column for column in COLUMNS if column.name not in _OF_THE_BAG],
+            scores=[dataclasses.asdict(bag) for bag in scores],
+            mean=mean_scores(scores),
+            summary=_summary(scores),
+            experiments=[_view(experiment) for experiment in report.experiments],
+            bags=[_bag_view(report, trial) for trial in report.trials],
+            parameters=report.parameters.as_mapping(),
+            changed=_changed(report.parameters),
+            versions=_versions(),
+            data_uri=_data_uri,
+        )
+
+
+@dataclass(frozen=True)
+class _Figure:
+    """A figure at the head of the page."""
+
+    name: str
+    value: str
+    note: str
+
+
+@dataclass(frozen=True)
+class _ExperimentView:
+    """An experiment as the page shows it.
+
+    `by_bag` holds, row by row, each bag's J (None where it has none), `changes` each row's mean J
+    less that of the first row; `chart` is there for curves only.
+    """
+
+    key: str
+    rows_are: str
+    rows: Sequence[ScoredRow]
+    bag_names: Sequence[str]
+    by_bag: Sequence[Sequence[float | None]]
+    changes: Sequence[float | None]
+    chart: Chart | None
+
+
+@dataclass(frozen=True)
+class _BagView:
+    """A bag as the page shows it: `compared` is a frame as each segmenter answered it."""
+
+    scores: BagScores
+    illustrations: Illustrations | None
+    chart: Chart | None
+    compared: Sequence[tuple[str, Picture]]
+
+
+def _summary(scores: Sequence[BagScores]) -> list[_Figure]:
+    mean = mean_scores(scores)
+    with_ids = [bag.id_switches for bag in scores if bag.id_switches is not None]
+    figures = [
+        ("J", mean["j"], ".3f", "mean over the bags that hold an object"),
+        ("G", mean["g"], ".3f", "mean of J and Dice"),
+        ("Boundary F", mean["boundary_f"], ".3f", "outlines, as in the DAVIS benchmark"),
+        ("False alarms", mean["false_alarm_area"], ".3%", "of the picture, where nothing moves"),
+        ("Id switches", sum(with_ids) if with_ids else None, "d", "in all bags together"),
+        ("Speed", mean["fps"], ".1f", "frames a second; runs share the cores"),
+    ]
+    return [
+        _Figure(name, "-" if value is None else format(value, form), note)
+        for name, value, form, note in figures
+    ]
+
+
+def _view(scored: ScoredExperiment) -> _ExperimentView:
+    bag_names = list(dict.fromkeys(bag.bag for row in scored.rows for bag in row.bags))
+    by_bag = []
+    for row in scored.rows:
+        j = {bag.bag: bag.j for bag in row.bags}
+        by_bag.append([j.get(name) for name in bag_names])
+    means = [row.mean["j"] for row in scored.rows]
+    first = means[0] if means else None
+    return _ExperimentView(
+        key=scored.experiment.key,
+        rows_are=scored.experiment.rows_are,
+        rows=scored.rows,
+        bag_names=bag_names,
+        by_bag=by_bag,
+        changes=[None if j is None or first is None else j - first for j in means],
+        chart=_curves(scored) if scored.strengths else None,
+    )
+
+
+def _curves(scored: ScoredExperiment) -> Chart:
+    titles = {
+        "tilt_curve": ("J against added turbulence", "added tilt, rms an axis in pixels"),
+        "shake_curve": (
+            "J against added shake",
+            "added step from frame to frame, rms an axis in pixels",
+        ),
+    }
+    title, x_label = titles[scored.experiment.key]
+    lines = []
+    for name, rows in scored.curves.items():
+        points = [(row.strength, row.mean["j"]) for row in rows]
+        lines.append(
+            Line(name, tuple((x, y) for x, y in points if x is not None and y is not None))
+        )
+    return Chart(title, x_label, "mean J", tuple(lines), tuple(scored.strengths))
+
+
+def _bag_view(report: Report, trial: Trial) -> _BagView:
+    result = report.results[trial]
+    illustrations = result.illustrations
+    chart = None
+    if illustrations is not None and len(illustrations.j) > 1:
+        line = Line("J", tuple((float(frame), j) for frame, j in illustrations.j))
+        title = f"J in each frame of {trial.source.name}"
+        chart = Chart(title, "frame", "J", (line,), marked=False, height=_LOW)
+    return _BagView(result.scores, illustrations, chart, _compared(report, trial))
+
+
+def _compared(report: Report, trial: Trial) -> list[tuple[str, Picture]]:
+    """Give one frame of a bag as each segmenter answered it, from well into the clip."""
+    pictures = []
+    for experiment in report.experiments:
+        if experiment.experiment.key != "rivals":
+            continue
+        for row in experiment.experiment.rows:
+            for candidate in row.trials:
+                result = report.results.get(candidate)
+                if candidate.source == trial.source and result and result.illustrations:
+                    tiles = result.illustrations.tiles
+                    pictures.append((row.name, tiles[2 * len(tiles) // 3]))
+    return pictures
+
+
+def _changed(parameters: Parameters) -> dict[str, Value]:
+    defaults = Parameters().as_mapping()
+    return {
+        name: value for name, value in parameters.as_mapping().items() if value != defaults[name]
+    }
+
+
+def _versions() -> dict[str, str]:
+    return {
+        "turbseg_ros": importlib.metadata.version("turbseg_ros"),
+        "OpenCV": cv2.__version__,
+        "NumPy": np.__version__,
+        "Python": platform.python_version(),
+    }
+
+
+def _data_uri(picture: Picture) -> str:
+    return f"data:image/jpeg;base64,{base64.b64encode(picture.jpeg).decode('ascii')}"
