@@ -381,6 +381,22 @@ def belongs_to_middleware(name: str) -> bool:
     return name.split(".")[0] in _MIDDLEWARE_NAMES
 
 
+def markdown_table() -> str:
+    """Give the README's table of parameters."""
+    rows = ["| parameter | default | range | what it is |", "| --- | --- | --- | --- |"]
+    for declared in declarations():
+        if declared.choices:
+            limits = ", ".join(declared.choices)
+        elif declared.minimum is not None and declared.maximum is not None:
+            limits = f"{declared.minimum:g} to {declared.maximum:g}"
+        else:
+            limits = ""
+        unit = f" {declared.unit}" if declared.unit else ""
+        description = declared.description + (" *" if not declared.read_only else "")
+        rows.append(f"| `{declared.name}` | {declared.default}{unit} | {limits} | {description} |")
+    return "\n".join(rows)
+
+
 def load_parameters(path: Path) -> Parameters:
     """Read a ROS 2 parameter file (``/**: ros__parameters: ...``).
 

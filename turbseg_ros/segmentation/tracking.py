@@ -32,6 +32,11 @@ _PART = 0.5
 # stay one: flow bleeds past an object's edge, and what sways or ripples gets nowhere.
 _HONESTY = 0.5
 _LEAST_HONESTY = 0.25
+# Least IoU of a mask with the one before, moved along, for something to become an object, and, on
+# average over more frames, to stay one: leaves and waves change their shape all the time.
+_LIKE = 0.45
+_UNLIKE = 0.35
+_SHAPE_SPAN = 12
 # Frames over which an object's way is compared with what it claims, and frames for which the
 # place of one that got nowhere is remembered.
 _HONESTY_SPAN = 24
@@ -77,6 +82,7 @@ class Track:
     misses: int = 0
     still: int = 0
     claims: list[float] = field(default_factory=list)
+    likeness: list[float] = field(default_factory=list)
     confirmed: bool = False
     trail: list[Point] = field(default_factory=list)
 
@@ -90,6 +96,11 @@ class Track:
     def size(self) -> float:
         """Diagonal of the box around it."""
         return float(np.hypot(*self.candidate.box.shape))
+
+    def keeps_shape(self, frames: int, least: float) -> bool:
+        """Tell whether its masks of the last frames were alike: at least so much IoU a frame."""
+        recent = self.likeness[-frames:]
+        return len(recent) < frames or float(np.mean(recent)) >= least
 
     def gets_nowhere(self) -> bool:
         """Tell whether, for a good while, it has come a small part of the way that it claims."""
@@ -266,7 +277,7 @@ class ObjectTracker:
         parts: dict[int, list[Candidate]] = {}
         result = []
         for candidate in candidates:
-            shares = [_share_on(track, candidate) for track in objects]
+            shares = [_common_area(track, candidate) / candidate.area for track in objects]
             if shares and max(shares) > _PART:
                 parts.setdefault(int(np.argmax(shares)), []).append(candidate)
             else:
@@ -289,6 +300,8 @@ class ObjectTracker:
     def _confirm(self, track: Track, tilt: float) -> None:
         if track.confirmed or track.hits < self._confirmation:
             return
+        if not track.keeps_shape(max(self._confirmation - 1, 1), _LIKE):
+            return
         travelled = float(np.linalg.norm(track.position - track.birthplace))
         wanted = max(self._travel + 2.0 * tilt, _HONESTY * sum(track.claims))
         if any(place.holds(track.birthplace) for place in self._restless):
@@ -310,6 +323,7 @@ class ObjectTracker:
             if track.misses > (self._patience if track.confirmed else 1)
             or track.still > self._patience
             or track in restless
+            or not track.keeps_shape(_SHAPE_SPAN, _UNLIKE)
         ]
         for track in lost:
             self._end(track)
@@ -349,6 +363,9 @@ def _carry(track: Track, ego_motion: Matrix) -> None:
 
 
 def _correct(track: Track, candidate: Candidate) -> None:
+    common = _common_area(track, candidate)
+    union = track.candidate.area + candidate.area - common
+    track.likeness.append(common / max(union, 1))
     track.kalman.correct(candidate.centroid.reshape(2, 1))
     track.candidate = candidate
     track.hits += 1
@@ -356,16 +373,16 @@ def _correct(track: Track, candidate: Candidate) -> None:
     track.still = 0 if candidate.moving else track.still + 1
 
 
-def _share_on(track: Track, candidate: Candidate) -> float:
-    """Give the share of a candidate that lies where the track's mask is expected now."""
+def _common_area(track: Track, candidate: Candidate) -> int:
+    """Count the candidate's pixels that lie where the track's mask is expected now."""
     dx, dy = np.rint(track.position - track.candidate.centroid).astype(int)
     expected, found = track.candidate.box.moved(int(dx), int(dy)), candidate.box
     common = expected.common(found)
     if common is None:
-        return 0.0
+        return 0
     there = track.candidate.mask[common.moved(-expected.x0, -expected.y0).slices]
     here = candidate.mask[common.moved(-found.x0, -found.y0).slices]
-    return np.count_nonzero(there & here) / max(candidate.area, 1)
+    return int(np.count_nonzero(there & here))
 
 
 def _joined(parts: Sequence[Candidate]) -> Candidate:
