@@ -49,6 +49,12 @@ def test_tilt_is_measured_within_a_tenth(intervals: tuple[int, ...], rms: float)
     assert measured_tilt(residuals, SEEN) == pytest.approx(rms, rel=0.1)
 
 
+def test_tilt_is_taken_from_the_widest_pair() -> None:
+    residuals = turbulent_residuals(0.3, (-4, -3, -2, 2, 4))
+    widest = {i: residuals[i] for i in (-4, 4)}
+    assert measured_tilt(residuals, SEEN) == measured_tilt(widest, SEEN)
+
+
 def test_constant_velocities_are_no_tilt() -> None:
     residuals = turbulent_residuals(0.3, CENTRED)
     velocity = np.random.default_rng(3).normal(0, 5, (*SHAPE, 2))

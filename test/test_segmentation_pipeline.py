@@ -113,6 +113,20 @@ def test_the_motion_map_is_in_pixels_of_the_input_a_frame(
     assert result.ego_motion_model == "affine"
 
 
+def test_a_picture_is_worked_on_smaller_and_answered_at_its_own_size() -> None:
+    doubled = [cv2.resize(image, None, fx=2, fy=2) for image in CLIP[:18]]
+    found = segmented(doubled, PARAMETERS.replace({"resolution.detail": 160}))
+    assert_sound(found)
+    for number in range(12, 15):
+        truth = cv2.resize(SCENE.truth(number).astype(np.uint8), None, fx=2, fy=2) > 0
+        (moving,) = found[number].objects
+        assert jaccard(found[number].labels > 0, truth) > 0.7
+        np.testing.assert_allclose(moving.velocity, (6.0, 0.0), atol=0.8)
+        np.testing.assert_allclose(moving.trail[-1], moving.centroid, atol=3.0)
+        motion = cv2.resize(found[number].motion_map, truth.shape[::-1])
+        assert np.median(motion[truth]) == pytest.approx(6.0, abs=0.6)
+
+
 def test_results_carry_their_frames(results: list[SegmentationResult]) -> None:
     assert stamps(results) == list(range(30))
     assert all(r.frame.image is image for r, image in zip(results, CLIP, strict=True))
@@ -153,12 +167,12 @@ def test_a_flushed_stream_goes_on() -> None:
     segmenter = MotionSegmenter(PARAMETERS)
     assert segmenter.flush() == []
     found = []
-    for part in (range(7), range(7, 8), range(8, 30)):
+    for part in (range(7), range(7, 8), range(8, 22)):
         for frame in frames([CLIP[k] for k in part], first=part.start):
             found += segmenter.push(frame)
         found += segmenter.flush()
         assert segmenter.flush() == []
-    assert stamps(found) == list(range(30))
+    assert stamps(found) == list(range(22))
     assert_sound(found)
     assert len(ids(found[12:])) == 1
 
@@ -209,10 +223,10 @@ def test_images_may_be_views_that_can_not_be_written(results: list[SegmentationR
     ids=["size", "depth", "colour"],
 )
 def test_a_change_of_the_image_in_mid_stream_starts_a_new_window(change) -> None:
-    found = segmented([*CLIP[:10], *map(change, CLIP[10:])])
-    assert stamps(found) == list(range(30))
+    found = segmented([*CLIP[:8], *map(change, CLIP[8:26])])
+    assert stamps(found) == list(range(26))
     assert_sound(found)
-    before, after = ids(found[:10]), ids(found[10:])
+    before, after = ids(found[:8]), ids(found[8:])
     assert before == {1}
     assert after
     assert min(after) > max(before)
@@ -262,35 +276,35 @@ def shimmering(rms: float, count: int, shift: tuple[int, int] = (0, 0)) -> list[
     return images
 
 
-@pytest.mark.parametrize("rms", [0.1, 0.4, 1.0])
+@pytest.mark.parametrize("rms", [0.2, 1.0])
 def test_an_empty_scene_that_shimmers_has_no_objects(rms: float) -> None:
-    found = segmented(shimmering(rms, 24))
+    found = segmented(shimmering(rms, 20))
     assert not any(result.labels.any() for result in found)
     assert not ids(found)
     assert_sound(found)
 
 
 def test_an_empty_scene_that_the_camera_pans_over_has_no_objects() -> None:
-    found = segmented(shimmering(0.3, 24, shift=(2, -1)))
+    found = segmented(shimmering(0.3, 16, shift=(2, -1)))
     assert not any(result.labels.any() for result in found)
 
 
 def test_more_turbulence_is_measured_as_more() -> None:
     # At this resolution flow smooths a part of the tilt away.
     for rms in (0.2, 0.6):
-        tilt = np.nanmedian([result.tilt for result in segmented(shimmering(rms, 16))])
+        tilt = np.nanmedian([result.tilt for result in segmented(shimmering(rms, 12))])
         assert 0.5 * rms < tilt < 1.2 * rms
 
 
 RANDOM = np.random.default_rng(0)
 EMPTY_CLIPS = {
-    "constant": [np.full(SHAPE, 90, np.uint8)] * 12,
-    "black": [np.zeros(SHAPE, np.uint8)] * 12,
-    "saturated": [np.full(SHAPE, 255, np.uint8)] * 12,
-    "flashing": [np.full(SHAPE, 255 * (k % 2), np.uint8) for k in range(12)],
-    "noise": list(RANDOM.integers(0, 256, (12, *SHAPE)).astype(np.uint8)),
-    "noise, 16 bits": list(RANDOM.integers(0, 65536, (12, *SHAPE)).astype(np.uint16)),
-    "no number": [np.full(SHAPE, np.nan, np.float32)] * 12,
+    "constant": [np.full(SHAPE, 90, np.uint8)] * 10,
+    "black": [np.zeros(SHAPE, np.uint8)] * 10,
+    "saturated": [np.full(SHAPE, 255, np.uint8)] * 10,
+    "flashing": [np.full(SHAPE, 255 * (k % 2), np.uint8) for k in range(10)],
+    "noise": list(RANDOM.integers(0, 256, (10, *SHAPE)).astype(np.uint8)),
+    "noise, 16 bits": list(RANDOM.integers(0, 65536, (10, *SHAPE)).astype(np.uint16)),
+    "no number": [np.full(SHAPE, np.nan, np.float32)] * 10,
 }
 
 

@@ -69,6 +69,12 @@ def test_an_affine_motion_is_found_within_a_tenth_of_a_pixel(motion: np.ndarray)
     assert largest_error(register_affine(GROUND, warped(GROUND, motion)), motion) < 0.1
 
 
+def test_a_leap_by_a_third_of_the_picture_is_found() -> None:
+    leap = shift(-70.0, 40.0)
+    # Half of the picture is left to measure it by.
+    assert largest_error(register_affine(GROUND, warped(GROUND, leap)), leap) < 0.2
+
+
 def with_lorry(image: ByteImage, x: int) -> ByteImage:
     """Paint a textured object over a third of the picture."""
     painted = image.copy()
