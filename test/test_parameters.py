@@ -271,7 +271,6 @@ ESCAPING = {
 }
 
 
-@pytest.mark.xfail(strict=True, reason="only YAMLError and UnicodeDecodeError are caught")
 @pytest.mark.parametrize("text", ESCAPING.values(), ids=ESCAPING.keys())
 def test_any_malformed_file_is_an_error_of_one_line(tmp_path: Path, text: str) -> None:
     with pytest.raises(ParameterError, match=r"^[^\n]*$"):

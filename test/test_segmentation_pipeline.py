@@ -323,10 +323,6 @@ def test_any_shape_of_picture_is_answered(shape: tuple[int, int]) -> None:
     assert_sound(found)
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="a black frame breaks the chain of motions; a burnt one swells the mask for 20 frames",
-)
 @pytest.mark.parametrize("grey", [0, 255], ids=["black", "burnt"])
 def test_one_frame_that_shows_nothing_spoils_no_other(grey: int) -> None:
     images = [*CLIP[:14], np.full(SHAPE, grey, np.uint8), *CLIP[15:]]

@@ -57,7 +57,10 @@ class Declaration:
         :raises ParameterError: when it has another type, is out of range or is no listed choice.
         """
         if self.type is float and isinstance(value, int) and not isinstance(value, bool):
-            value = float(value)
+            try:
+                value = float(value)
+            except OverflowError:
+                raise ParameterError(f"parameter {self.name} is too large") from None
         if type(value) is not self.type:
             raise ParameterError(
                 f"parameter {self.name} takes {_article(self.type)}, not {value!r}"
@@ -409,11 +412,13 @@ def load_parameters(path: Path) -> Parameters:
         content = yaml.safe_load(path.read_text())
     except OSError as error:
         raise ParameterError(f"{path}: {error.strerror or error}") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+    except (yaml.YAMLError, ValueError, IndexError, RecursionError) as error:
         reason = " ".join(str(error).split())
         raise ParameterError(f"{path}: not a YAML file ({reason})") from error
     try:
         return Parameters.from_mapping(_own_values(content))
+    except RecursionError:
+        raise ParameterError(f"{path}: a group holds itself") from None
     except ParameterError as error:
         raise ParameterError(f"{path}: {error}") from error
 

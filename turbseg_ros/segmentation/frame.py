@@ -46,7 +46,8 @@ class MovingObject:
 class SegmentationResult:
     """What was found in one frame.
 
-    `labels` is uint16, HxW as the frame: 0 is background, k the object with id k. `motion_map` is
+    `labels` is uint16, HxW as the frame: 0 is background, k the object with id k
+    (counted from 1 again after 65,535). `motion_map` is
     float32 at processing resolution: pixels a frame (of the input image) by which a point breaks
     the camera's own motion. `tilt` is the measured turbulence: rms image motion a axis in input
     pixels, NaN while unknown. `ego_motion_model` names the model chosen for the camera's motion.

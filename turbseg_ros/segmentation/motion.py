@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -53,7 +52,7 @@ def affine_motion(flows: Mapping[int, Flow], weights: Mapping[int, Map]) -> Moti
     uncertainty = _slope_uncertainty(weights)
     visible = np.isfinite(uncertainty)
     velocity[~visible] = 0.0
-    motion_map = cv2.magnitude(velocity[..., 0], velocity[..., 1])
+    motion_map: Map = np.hypot(velocity[..., 0], velocity[..., 1])
     unit = _robust_deviation(motion_map[visible] / uncertainty[visible])
     noise = np.maximum(unit * np.where(visible, uncertainty, 1.0), _LEAST_NOISE)
     return MotionEstimate(
@@ -84,13 +83,15 @@ def sampson_motion(
         kept = [tuple(flows)]
     shape = next(iter(flows.values())).shape[:2]
     visible = np.minimum.reduce(list(weights.values())) > 0
-    distance = np.zeros(shape, np.float32)
+    distances = []
     for chosen in kept:
         stabilised = optical_flow.mean_flow(flows, chosen)
         matrix = geometry.fit_fundamental_matrix(stabilised, visible.astype(np.float32))
         if matrix is not None:
-            distance += geometry.sampson_distance(stabilised, matrix) / len(kept)
-    motion_map = np.sqrt(distance)
+            distances.append(geometry.sampson_distance(stabilised, matrix))
+    motion_map: Map = (
+        np.sqrt(np.mean(distances, axis=0)) if distances else np.zeros(shape, np.float32)
+    )
     motion_map[~visible] = 0.0
     residuals = {i: _less_ego_motion(flow, weights[i]) for i, flow in flows.items()}
     noise = max(_robust_deviation(motion_map[visible]), _LEAST_NOISE)

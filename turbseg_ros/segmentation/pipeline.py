@@ -49,6 +49,8 @@ _SMALLEST_OUTLINE = 12
 _GUARD = 2
 # A known object counts as resting when motion was found on less than this share of it.
 _RESTING = 0.6
+# Labels are 16-bit: the 65,536th object gets label 1 again; its id goes on counting.
+_MOST_LABELS = 65535
 
 
 @dataclass(frozen=True)
@@ -291,7 +293,7 @@ class MotionSegmenter:
 def _identity_keeper(parameters: Parameters) -> IdentityKeeper:
     tracking = parameters.tracking
     if tracking.mode == "kmeans":
-        return KMeansUnifier()
+        return KMeansUnifier(slots=parameters.max_objects)
     return ObjectTracker(
         confirmation=tracking.confirmation,
         travel=tracking.travel,
@@ -357,7 +359,7 @@ def _result(pending: _Pending) -> SegmentationResult:
         mask = _at_input_resolution(observation.candidate, pending.resolution)
         mask &= labels == 0
         if mask.any():
-            labels[mask] = observation.track.id
+            labels[mask] = (observation.track.id - 1) % _MOST_LABELS + 1
             objects.append(_moving_object(observation, mask, scale))
     processing_scale = width / pending.resolution.processing[0]
     motion = pending.motion

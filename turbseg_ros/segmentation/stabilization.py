@@ -23,9 +23,14 @@ _LARGEST_CHANGE_OF_SHAPE = 0.1
 def register_translation(source: GreyImage, target: GreyImage) -> Matrix:
     """Give the translation that takes `source` to `target`, by phase correlation.
 
+    A picture of one grey value has moved nowhere.
+
     :param source: HxW grey image.
     :param target: HxW grey image of the same size.
     """
+    if source.min() == source.max() or target.min() == target.max():
+        # A picture of one grey value lies anywhere.
+        return np.eye(3)
     window = cv2.createHanningWindow((source.shape[1], source.shape[0]), cv2.CV_32F)
     (dx, dy), _ = cv2.phaseCorrelate(source.astype(np.float32), target.astype(np.float32), window)
     return np.array([[1.0, 0.0, dx], [0.0, 1.0, dy], [0.0, 0.0, 1.0]])

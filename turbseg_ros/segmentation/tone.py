@@ -50,7 +50,8 @@ class ToneMap:
         low, high = (float(v) for v in np.percentile(samples, [_LOW_PERCENTILE, _HIGH_PERCENTILE]))
         room = _HEADROOM * (high - low)
         wanted = (low - room, high + room)
-        if self._range is None:
+        if self._range is None or low > self._range[1] or high < self._range[0]:
+            # Nothing seen so far tells anything of this picture.
             self._range = wanted
         old = self._range
         self._range = (

@@ -32,10 +32,9 @@ _PART = 0.5
 # stay one: flow bleeds past an object's edge, and what sways or ripples gets nowhere.
 _HONESTY = 0.5
 _LEAST_HONESTY = 0.25
-# Least IoU of a mask with the one before, moved along, for something to become an object, and, on
-# average over more frames, to stay one: leaves and waves change their shape all the time.
-_LIKE = 0.45
-_UNLIKE = 0.35
+# Least IoU of a mask with the one before, moved along, on average over the frames of confirmation
+# and, for an object, over a longer span: leaves and waves change their shape all the time.
+_LIKE = 0.4
 _SHAPE_SPAN = 12
 # Frames over which an object's way is compared with what it claims, and frames for which the
 # place of one that got nowhere is remembered.
@@ -69,7 +68,7 @@ class Candidate:
         return np.array([moments["m10"] / area + self.box.x0, moments["m01"] / area + self.box.y0])
 
 
-@dataclass
+@dataclass(eq=False)
 class Track:
     """One object through time."""
 
@@ -323,7 +322,7 @@ class ObjectTracker:
             if track.misses > (self._patience if track.confirmed else 1)
             or track.still > self._patience
             or track in restless
-            or not track.keeps_shape(_SHAPE_SPAN, _UNLIKE)
+            or not track.keeps_shape(_SHAPE_SPAN, _LIKE)
         ]
         for track in lost:
             self._end(track)
@@ -365,11 +364,11 @@ def _carry(track: Track, ego_motion: Matrix) -> None:
 def _correct(track: Track, candidate: Candidate) -> None:
     common = _common_area(track, candidate)
     union = track.candidate.area + candidate.area - common
-    track.likeness.append(common / max(union, 1))
+    track.likeness = [*track.likeness, common / max(union, 1)][-_SHAPE_SPAN:]
     track.kalman.correct(candidate.centroid.reshape(2, 1))
     track.candidate = candidate
     track.hits += 1
-    track.claims.append(float(np.hypot(*candidate.velocity)))
+    track.claims = [*track.claims, float(np.hypot(*candidate.velocity))][-_TRAIL_LENGTH:]
     track.still = 0 if candidate.moving else track.still + 1
 
 
@@ -428,8 +427,9 @@ def _observed(track: Track) -> Observation:
 
 def _moved_mask(track: Track, ego_motion: Matrix, shape: tuple[int, int]) -> Mask:
     box = track.candidate.box
-    step = np.asarray(track.velocity) * (track.misses + 1)
-    place = np.array([[1.0, 0.0, box.x0 + step[0]], [0.0, 1.0, box.y0 + step[1]], [0, 0, 1.0]])
+    # The position has been carried along since the mask was last seen.
+    way = track.position - track.candidate.centroid + np.asarray(track.velocity)
+    place = np.array([[1.0, 0.0, box.x0 + way[0]], [0.0, 1.0, box.y0 + way[1]], [0, 0, 1.0]])
     moved: Mask = (
         cv2.warpAffine(
             track.candidate.mask.astype(np.uint8),
@@ -449,7 +449,9 @@ class KMeansUnifier:
     the clip.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, slots: int) -> None:
+        """Set up without a clip; `slots` is the number of output slots."""
+        self._slots = slots
         self._clip: list[list[Track]] = []
         self._next_id = 1
 
@@ -496,7 +498,7 @@ class KMeansUnifier:
         identities = unify_by_kmeans([track.candidate.centroid for track in tracks], clusters)
         for track, cluster in zip(tracks, identities, strict=True):
             track.id = self._next_id + int(cluster) - 1
-            track.slot = int(cluster) - 1
+            track.slot = int(cluster) - 1 if cluster <= self._slots else -1
             track.confirmed = True
         self._next_id += clusters
         self._clip = []
@@ -514,6 +516,8 @@ def unify_by_kmeans(centroids: Sequence[Point], count: int) -> npt.NDArray[np.in
         return np.zeros(0, np.int64)
     points = np.asarray(centroids, np.float32).reshape(-1, 2)
     clusters = min(count, len(np.unique(points, axis=0)))
+    if clusters == 1:
+        return np.ones(len(points), np.int64)
     # OpenCV draws the first centres from its global generator.
     cv2.setRNGSeed(1)
     criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 0.01)

@@ -216,7 +216,8 @@ class FrameWindow:
 
 def _resized(image: ByteImage, size: tuple[int, int]) -> ByteImage:
     if (image.shape[1], image.shape[0]) == size:
-        return image
+        # The caller may use its buffer again.
+        return image.copy()
     shrinks = size[0] < image.shape[1]
     interpolation = cv2.INTER_AREA if shrinks else cv2.INTER_CUBIC
     resized: ByteImage = cv2.resize(image, size, interpolation=interpolation)
