@@ -127,7 +127,8 @@ def _warp_bag(source: Path, image_topic: str | None, tilt: float, seed: int, out
                 image = image_from_message(message)
                 if warper is None:
                     turbulence = Turbulence.typical(tilt, image.shape[1])
-                    warper = ClipWarper(image.shape[:2], turbulence, seed)
+                    shape = image.shape[0], image.shape[1]
+                    warper = ClipWarper(shape, turbulence, seed)
                 seen, labels = warper.distort(image, truth.at(stamp))
             except (ImageConversionError, ValueError) as error:
                 raise BagError(f"{source}: image {count} on {topic}: {error}") from error

@@ -39,11 +39,11 @@ def fit_affine_flow(flow: Flow, weights: npt.NDArray[np.float32]) -> npt.NDArray
     """
     step = _GRID if min(flow.shape[:2]) >= 8 * _GRID else 1
     start = step // 2
-    samples = flow[start::step, start::step].reshape(-1, 2).astype(np.float64)
+    sampled = flow[start::step, start::step].reshape(-1, 2)
     usable = weights[start::step, start::step].ravel() > 0
     if np.count_nonzero(usable) < 12:
         return np.zeros((3, 2))
-    samples = samples[usable]
+    samples = sampled[usable].astype(np.float64)
     points = pixel_grid((flow.shape[0], flow.shape[1]), step).reshape(-1, 2)[usable]
     basis = np.column_stack([np.ones(len(points)), points.astype(np.float64)])
     coefficients = np.zeros((3, 2))

@@ -124,8 +124,8 @@ def fields(extent: Extent, palette: Palette, rng: np.random.Generator) -> Backdr
     brush.rectangle(brush.left, 0.565, brush.right, brush.bottom, palette.grass, 0.12, (4, 1.5))
     _street(brush, 0.585, 0.66, markings=False)
     _fence(brush, 0.7, 0.035)
-    for x in np.arange(brush.left + 0.2, brush.right, 0.7):
-        _utility_pole(brush, float(x + rng.uniform(-0.05, 0.05)), 0.575, 0.3)
+    for place in np.arange(brush.left + 0.2, brush.right, 0.7):
+        _utility_pole(brush, float(place + rng.uniform(-0.05, 0.05)), 0.575, 0.3)
     brush.pebbles(0.68, brush.bottom, round(300 * (brush.right - brush.left)), palette.grass)
     brush.weather(0.27)
     for _ in range(round(45 * (brush.right - brush.left))):
