@@ -34,7 +34,6 @@ def drawn_motion(
         noise=np.full(shape, noise, np.float32),
         tilt=0.1,
         visible=np.ones(shape, bool) if visible is None else visible,
-        residuals={},
         ego_motion_model="affine",
     )
 

@@ -214,7 +214,6 @@ def motion_of(*regions: Region) -> MotionEstimate:
         noise=np.full(MOVING_SHAPE, 0.1, np.float32),
         tilt=0.1,
         visible=np.ones(MOVING_SHAPE, bool),
-        residuals={},
         ego_motion_model="affine",
     )
 

@@ -326,7 +326,3 @@ def _add_cluster(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--scheduler", metavar="ADDRESS", help="Dask scheduler to use, as tcp://host:8786"
     )
-
-
-if __name__ == "__main__":
-    sys.exit(main())

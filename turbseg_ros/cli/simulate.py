@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
-from tqdm import tqdm
-
 from turbseg_ros.bag.errors import BagError
-from turbseg_ros.bag.reader import BagReader, Record
+from turbseg_ros.bag.reader import BagReader
+from turbseg_ros.bag.topics import IMAGE_TOPIC, TRUTH_TOPIC
 from turbseg_ros.bag.writer import BagWriter
 from turbseg_ros.cli.errors import UsageError, executable
-from turbseg_ros.evaluation.labels import TRUTH_TOPIC, LabelsByStamp, read_labels
+from turbseg_ros.cli.options import with_progress
+from turbseg_ros.evaluation.labels import LabelsByStamp, read_labels
 from turbseg_ros.ros.image_conversion import (
     ImageConversionError,
+    encoding_of,
     image_from_message,
     message_from_image,
     stamp_to_ns,
@@ -23,18 +24,10 @@ from turbseg_ros.ros.image_conversion import (
 from turbseg_ros.simulation.render import render
 from turbseg_ros.simulation.scenes import SCENES, Scene, UnknownSceneError, scene
 from turbseg_ros.simulation.turbulence import Turbulence
-from turbseg_ros.simulation.warp import ClipWarper, Image
+from turbseg_ros.simulation.warp import ClipWarper
 
-_IMAGE_TOPIC = "/camera/image_raw"
 _FRAME_ID = "camera_optical_frame"
 _MAX_TILT_PX = 20.0
-_ENCODINGS = {
-    ("uint8", 2): "mono8",
-    ("uint8", 3): "bgr8",
-    ("uint16", 2): "mono16",
-    ("uint16", 3): "bgr16",
-    ("float32", 2): "32FC1",
-}
 
 
 @executable("turbseg_simulate")
@@ -91,17 +84,14 @@ def _chosen_scenes(name: str, out: Path) -> list[tuple[Scene, Path]]:
 
 
 def _render_bag(chosen: Scene, seed: int, path: Path) -> None:
-    frames = tqdm(
-        render(chosen, seed), desc=chosen.name, total=chosen.frames, unit="frame",
-        dynamic_ncols=True, leave=False, disable=None,
-    )  # fmt: skip
+    frames = with_progress(render(chosen, seed), chosen.name, chosen.frames)
     with BagWriter(path) as bag:
         for frame in frames:
             stamp = frame.stamp_ns
             encoding = chosen.sensor.encoding
             picture = message_from_image(frame.image, encoding, stamp, _FRAME_ID)
             truth = message_from_image(frame.labels, "mono16", stamp, _FRAME_ID)
-            bag.write(_IMAGE_TOPIC, picture, stamp)
+            bag.write(IMAGE_TOPIC, picture, stamp)
             bag.write(TRUTH_TOPIC, truth, stamp)
     print(f"{path}: {chosen.frames} frames of '{chosen.name}', seed {seed}")
 
@@ -115,7 +105,8 @@ def _warp_bag(source: Path, image_topic: str | None, tilt: float, seed: int, out
     count = scored = 0
     with BagWriter(out) as bag:
         warper = None
-        for record in _with_progress(reader):
+        total = sum(topic.message_count for topic in reader.topics.values())
+        for record in with_progress(reader.messages(), reader.path.name, total, "message"):
             if record.topic == TRUTH_TOPIC:
                 continue  # goes with its frame
             if record.topic != topic:
@@ -132,10 +123,10 @@ def _warp_bag(source: Path, image_topic: str | None, tilt: float, seed: int, out
                 seen, labels = warper.distort(image, truth.at(stamp))
             except (ImageConversionError, ValueError) as error:
                 raise BagError(f"{source}: image {count} on {topic}: {error}") from error
-            picture = message_from_image(seen, _encoding(seen), stamp, frame_id)
+            picture = message_from_image(seen, encoding_of(seen), stamp, frame_id)
             bag.write(topic, picture, record.stamp_ns)
             if labels is not None:
-                mask = message_from_image(labels, _encoding(labels), stamp, frame_id)
+                mask = message_from_image(labels, encoding_of(labels), stamp, frame_id)
                 bag.write(TRUTH_TOPIC, mask, record.stamp_ns)
                 scored += 1
             count += 1
@@ -144,18 +135,6 @@ def _warp_bag(source: Path, image_topic: str | None, tilt: float, seed: int, out
         print(
             f"{len(truth) - scored} label images had no frame and were left out", file=sys.stderr
         )
-
-
-def _with_progress(reader: BagReader) -> Iterator[Record]:
-    total = sum(topic.message_count for topic in reader.topics.values())
-    yield from tqdm(
-        reader.messages(), desc=reader.path.name, total=total, unit="message",
-        dynamic_ncols=True, leave=False, disable=None,
-    )  # fmt: skip
-
-
-def _encoding(image: Image) -> str:
-    return _ENCODINGS[image.dtype.name, image.ndim]
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -184,7 +163,3 @@ def _parser() -> argparse.ArgumentParser:
         "--image-topic", metavar="T", help="images to warp, where the bag has several topics"
     )
     return parser
-
-
-if __name__ == "__main__":
-    sys.exit(main())

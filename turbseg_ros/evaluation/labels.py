@@ -12,8 +12,6 @@ import numpy.typing as npt
 
 from turbseg_ros.bag.errors import BagError
 from turbseg_ros.bag.reader import BagReader
-from turbseg_ros.bag.topics import LABELS_TOPIC as LABELS_TOPIC
-from turbseg_ros.bag.topics import TRUTH_TOPIC as TRUTH_TOPIC
 from turbseg_ros.evaluation.metrics import Labels
 from turbseg_ros.ros.image_conversion import (
     ImageConversionError,

@@ -29,7 +29,7 @@ class MotionEstimate:
     `velocity` is HxWx2 and `motion_map` M its measure, HxW, both in pixels a frame; `noise` is
     HxW, the standard deviation of M's axes where nothing moves; `tilt` is the rms turbulent
     motion an axis in pixels, NaN where no pair of intervals allows to measure it; `visible` tells
-    which pixels had enough neighbours; `residuals` are the flows less the ego-motion.
+    which pixels had enough neighbours.
     """
 
     velocity: Flow
@@ -37,7 +37,6 @@ class MotionEstimate:
     noise: Map
     tilt: float
     visible: npt.NDArray[np.bool_]
-    residuals: Mapping[int, Flow]
     ego_motion_model: str
 
 
@@ -61,7 +60,6 @@ def affine_motion(flows: Mapping[int, Flow], weights: Mapping[int, Map]) -> Moti
         noise=noise.astype(np.float32),
         tilt=measured_tilt(residuals, visible),
         visible=visible,
-        residuals=residuals,
         ego_motion_model="affine",
     )
 
@@ -101,7 +99,6 @@ def sampson_motion(
         noise=np.full(shape, noise, np.float32),
         tilt=measured_tilt(residuals, visible),
         visible=visible,
-        residuals=residuals,
         ego_motion_model="fundamental",
     )
 

@@ -24,6 +24,7 @@ from turbseg_ros.segmentation.silhouette import (
     enlarged,
     moving_areas,
     silhouettes,
+    union,
 )
 from turbseg_ros.segmentation.stabilization import align, visible
 from turbseg_ros.segmentation.tone import ToneMap
@@ -228,7 +229,7 @@ class MotionSegmenter:
         """Turn moving regions into outlines at detail resolution."""
         assert self._resolution is not None
         areas = moving_areas(regions, motion, self._resolution.detail)
-        moving = _union([area.mask for area in areas], self._detail_shape)
+        moving = union([area.mask for area in areas], self._detail_shape)
         if self._parameters.outline.method == "none":
             masks = [enlarged(region.mask, self._resolution.detail) for region in regions]
             outlines = [Outline.of(mask) for mask in masks if mask.any()]
@@ -310,10 +311,6 @@ def _interval_sets(widest: int) -> list[tuple[int, ...]]:
     single: list[tuple[int, ...]] = [(k, -k) for k in range(2, widest + 1)]
     double: list[tuple[int, ...]] = [(k, -k, k + 1, -k - 1) for k in (1, 2) if k < widest]
     return (single + double) or [(1, -1)]
-
-
-def _union(masks: Sequence[Mask], shape: tuple[int, int]) -> Mask:
-    return np.logical_or.reduce([np.zeros(shape, bool), *masks])
 
 
 def _dilated(mask: Mask, radius: int) -> Mask:

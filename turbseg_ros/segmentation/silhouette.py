@@ -96,7 +96,7 @@ def moving_areas(
     areas = []
     for group in _of_one_velocity(regions):
         seed = max((region.seed for region in group), key=lambda seed: seed.strength)
-        mask = _union([region.mask for region in group], (height, width))
+        mask = union([region.mask for region in group], (height, width))
         core = convex_hull(mask & (_share_of_velocity(motion, seed) > _CORE))
         areas.append(
             MovingArea(
@@ -126,9 +126,9 @@ def silhouettes(
     :param threshold: standard deviations by which an object differs from the background.
     """
     shape = (image.shape[0], image.shape[1])
-    moving = _union([area.mask for area in areas], shape)
-    core = _union([area.core for area in areas], shape)
-    heart = _union([area.heart for area in areas], shape)
+    moving = union([area.mask for area in areas], shape)
+    core = union([area.core for area in areas], shape)
+    heart = union([area.heart for area in areas], shape)
     found = []
     count, pieces = cv2.connectedComponents(moving.astype(np.uint8))
     for piece in range(1, count):
@@ -332,9 +332,10 @@ def enlarged(mask: Mask, size: tuple[int, int]) -> Mask:
     return resized
 
 
-def _union(masks: Sequence[Mask], shape: tuple[int, int]) -> Mask:
-    union: Mask = np.logical_or.reduce([np.zeros(shape, bool), *masks])
-    return union
+def union(masks: Sequence[Mask], shape: tuple[int, int]) -> Mask:
+    """Give the union of masks of one shape, which may be none."""
+    joined: Mask = np.logical_or.reduce([np.zeros(shape, bool), *masks])
+    return joined
 
 
 def _filled(mask: Mask) -> Mask:
