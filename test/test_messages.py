@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -11,9 +13,10 @@ from sensor_msgs.msg import CameraInfo
 from sensor_msgs.msg import Image as ImageMessage
 from visualization_msgs.msg import ImageMarker, Marker
 
+from turbseg_ros.ros.image_conversion import image_from_message
 from turbseg_ros.ros.messages import (
-    VIEWS,
     CentroidMarkers,
+    OverlayView,
     UnitDepthPlane,
     annotations_message,
     header_of,
@@ -21,8 +24,8 @@ from turbseg_ros.ros.messages import (
     mask_message,
     motion_message,
     outputs,
-    overlay_message,
     slot_mask_message,
+    views,
 )
 from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResult
 
@@ -71,7 +74,7 @@ def test_header_keeps_every_nanosecond(stamp: int) -> None:
 
 def test_all_messages_carry_the_frame_header_and_serialise() -> None:
     result = drawn_result((5, 5, 10, 8))
-    for output in (*outputs(3, CentroidMarkers()), *VIEWS):
+    for output in (*outputs(3, CentroidMarkers()), *views()):
         message = deserialize_message(serialize_message(output.build(result)), output.type)
         headed = message.markers[0] if output.name == "centroids" else message
         assert headed.header == header_of(result.frame), output.name
@@ -109,11 +112,36 @@ def test_motion_is_the_map_at_its_own_size() -> None:
     np.testing.assert_array_equal(pixels_of(message, np.float32), result.motion_map)
 
 
+def test_the_overlay_of_a_deep_camera_does_not_flicker() -> None:
+    view = OverlayView()
+    ground = np.linspace(5000, 9000, 60 * 90).reshape(60, 90)
+    means = []
+    for number in range(10):
+        image = ground.copy()
+        # A hot patch that comes and goes moves the percentiles, but not the picture.
+        image[:6] += 8000 * (number % 2)
+        frame = Frame(STAMP + number, image.astype(np.uint16), "camera")
+        result = replace(drawn_result(), frame=frame)
+        means.append(image_from_message(view.message(result))[10:].mean())
+    assert np.abs(np.diff(means)).max() < 8.0
+    alone = image_from_message(OverlayView().message(result))
+    assert abs(alone[10:].mean() - means[0]) > 40.0
+
+
+def test_the_overlay_follows_a_camera_that_changes_to_floats() -> None:
+    view = OverlayView()
+    deep = np.linspace(5000, 9000, 60 * 90).reshape(60, 90)
+    for image in (deep.astype(np.uint16), (deep / 9000).astype(np.float32)):
+        frame = Frame(STAMP, image, "camera")
+        shown = image_from_message(view.message(replace(drawn_result(), frame=frame)))
+        assert np.ptp(shown) > 128
+
+
 def test_overlay_is_the_frame_where_nothing_is_drawn() -> None:
-    empty = overlay_message(drawn_result())
+    empty = OverlayView().message(drawn_result())
     assert (empty.encoding, empty.width, empty.height) == ("bgr8", 90, 60)
     assert set(empty.data) == {100}
-    assert set(overlay_message(drawn_result((5, 5, 10, 8))).data) != {100}
+    assert set(OverlayView().message(drawn_result((5, 5, 10, 8))).data) != {100}
 
 
 def test_outlines_run_round_the_object() -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from turbseg_ros.ros.messages import VIEWS, CentroidMarkers, outputs
+from turbseg_ros.ros.messages import CentroidMarkers, outputs, views
 
 ROOT = Path(__file__).parents[1]
 LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch.py"))
@@ -27,7 +27,7 @@ def test_launch_files_compile_and_define_the_entry_point(path):
 
 def test_the_rviz_configuration_shows_topics_that_exist():
     configuration = yaml.safe_load((ROOT / "config" / "turbseg.rviz").read_text())
-    topics = {f"/turbseg/{output.name}" for output in (*outputs(0, CentroidMarkers()), *VIEWS)}
+    topics = {f"/turbseg/{output.name}" for output in (*outputs(0, CentroidMarkers()), *views())}
     shown = [display["Topic"] for display in configuration["Visualization Manager"]["Displays"]]
     assert shown
     assert {topic["Value"] for topic in shown} <= topics

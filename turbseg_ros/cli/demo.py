@@ -41,9 +41,9 @@ from turbseg_ros.evaluation.labels import (
     read_labels,
     result_from_labels,
 )
-from turbseg_ros.evaluation.overlay import OverlayStrip, write_png
 from turbseg_ros.evaluation.replay import BagFrames
 from turbseg_ros.evaluation.scores import Table, write_json
+from turbseg_ros.overlay import OverlayStrip, write_png
 from turbseg_ros.parameters import Parameters
 from turbseg_ros.ros.messages import CentroidMarkers, outputs
 

@@ -12,8 +12,8 @@ from turbseg_ros.bag.topics import RESULT_NAMESPACE
 from turbseg_ros.bag.writer import BagWriter
 from turbseg_ros.cli.errors import executable
 from turbseg_ros.cli.options import add_parameter_options, parameters_from, with_progress
-from turbseg_ros.evaluation.overlay import OverlayStrip, write_png
 from turbseg_ros.evaluation.replay import BagFrames, segment
+from turbseg_ros.overlay import OverlayStrip, write_png
 from turbseg_ros.ros.messages import CentroidMarkers, Output, outputs, slot_output
 from turbseg_ros.segmentation.frame import SegmentationResult
 from turbseg_ros.segmentation.pipeline import MotionSegmenter

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from turbseg_ros.evaluation.metrics import Labels, jaccard
-from turbseg_ros.evaluation.overlay import (
+from turbseg_ros.overlay import (
     Annotator,
     Canvas,
     OutlineAnnotator,

@@ -10,11 +10,11 @@ from turbseg_ros.bag.reader import BagReader
 from turbseg_ros.evaluation.disturbance import Disturbance, DisturbanceError, DisturbedClip
 from turbseg_ros.evaluation.evaluate import EvaluationError, evaluate_segmenter
 from turbseg_ros.evaluation.labels import LabelsByStamp, read_labels
-from turbseg_ros.evaluation.overlay import DEFAULT_ANNOTATORS, OutlineAnnotator
 from turbseg_ros.evaluation.pictures import Illustrations, Illustrator
 from turbseg_ros.evaluation.replay import BagFrames
 from turbseg_ros.evaluation.rivals import Contender
 from turbseg_ros.evaluation.scores import BagScores
+from turbseg_ros.overlay import DEFAULT_ANNOTATORS, OutlineAnnotator
 from turbseg_ros.segmentation.frame import Frame
 
 Watch = Callable[[BagFrames], Iterable[Frame]]

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import functools
 import math
+from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -19,9 +20,10 @@ from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import ImageMarker, Marker, MarkerArray
 
-from turbseg_ros.evaluation.overlay import colour_of, draw_overlay, outlines
+from turbseg_ros.overlay import colour_of, draw_overlay, outlines
 from turbseg_ros.ros.image_conversion import message_from_image, ns_to_stamp
 from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResult
+from turbseg_ros.segmentation.tone import ToneMap
 
 # The velocity arrow ends where the object will be after so many frames.
 _ARROW_FRAMES = 10.0
@@ -56,9 +58,21 @@ def slot_mask_message(result: SegmentationResult, slot: int) -> Image:
     return _image(result, mask, "mono8")
 
 
-def overlay_message(result: SegmentationResult) -> Image:
-    """Give the frame with outlines, ids and trails drawn on it, as bgr8."""
-    return _image(result, draw_overlay(result).image, "bgr8")
+class OverlayView:
+    """The frame with outlines, ids and trails drawn on it, as bgr8.
+
+    16-bit and float images are stretched steadily from one message to the next, which is why an
+    instance belongs to one stream of results.
+    """
+
+    def __init__(self) -> None:
+        self._tones: defaultdict[str, ToneMap] = defaultdict(ToneMap)
+
+    def message(self, result: SegmentationResult) -> Image:
+        """Give the picture of the next result."""
+        # What a sensor's 16 bits span tells nothing of its floats.
+        tone = self._tones[result.frame.image.dtype.name]
+        return _image(result, draw_overlay(result, tone=tone).image, "bgr8")
 
 
 def motion_message(result: SegmentationResult) -> Image:
@@ -278,11 +292,12 @@ def slot_output(slot: int) -> Output:
     return Output(f"objects/slot_{slot}/mask", Image, build)
 
 
-# Topics for people to look at.
-VIEWS = (
-    Output("overlay", Image, overlay_message),
-    Output("motion", Image, motion_message),
-)
+def views() -> tuple[Output, ...]:
+    """Give the topics for people to look at."""
+    return (
+        Output("overlay", Image, OverlayView().message),
+        Output("motion", Image, motion_message),
+    )
 
 
 def _image(result: SegmentationResult, array: npt.NDArray[Any], encoding: str) -> Image:

@@ -16,7 +16,7 @@ from std_srvs.srv import SetBool, Trigger
 from turbseg_ros.parameters import ParameterError, Parameters
 from turbseg_ros.ros.diagnostics import Event, NodeState, Statistics, status_message
 from turbseg_ros.ros.image_conversion import frame_from_message
-from turbseg_ros.ros.messages import VIEWS, CentroidMarkers, UnitDepthPlane, outputs
+from turbseg_ros.ros.messages import CentroidMarkers, UnitDepthPlane, outputs, views
 from turbseg_ros.ros.parameters import ParameterHandler
 from turbseg_ros.ros.publishers import ResultPublisher
 from turbseg_ros.ros.subscription import MatchingSubscription
@@ -53,7 +53,7 @@ class TurbsegNode(Node):  # type: ignore[misc]  # rclpy is read as untyped
         self._statistics = Statistics()
         self._markers = CentroidMarkers()
         self._results = ResultPublisher(
-            self, (*outputs(parameters.max_objects, self._markers), *VIEWS)
+            self, (*outputs(parameters.max_objects, self._markers), *views())
         )
         self._segmenter = MotionSegmenter(parameters)
         self._worker = SegmentationWorker(

@@ -8,15 +8,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from turbseg_ros.evaluation.metrics import Labels
 from turbseg_ros.segmentation.frame import Image, MovingObject, SegmentationResult
+from turbseg_ros.segmentation.tone import ToneMap
 
+Labels = npt.NDArray[np.integer[Any]]
 Colour = tuple[int, int, int]
 
 # Blue, green, red. Bright on sky and ground alike, and neighbours in the list far apart.
@@ -65,14 +66,14 @@ class Canvas:
     scale: float = 1.0
 
     @classmethod
-    def of(cls, image: Image, width: int | None = None) -> Canvas:
-        """Make a canvas of a frame's image, resized to `width` where that is given."""
+    def of(cls, image: Image, width: int | None = None, tone: ToneMap | None = None) -> Canvas:
+        """Make a canvas of a frame's image as `to_bgr8` does, resized to `width` where given."""
         scale = 1.0 if width is None else width / image.shape[1]
         if scale != 1.0:
             interpolation = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_CUBIC
             size = (round(image.shape[1] * scale), round(image.shape[0] * scale))
             image = cv2.resize(image, size, interpolation=interpolation)
-        return cls(image=to_bgr8(image), scale=scale)
+        return cls(image=to_bgr8(image, tone), scale=scale)
 
     @property
     def text_scale(self) -> float:
@@ -158,9 +159,13 @@ def draw_overlay(
     result: SegmentationResult,
     annotators: Sequence[Annotator] = DEFAULT_ANNOTATORS,
     width: int | None = None,
+    tone: ToneMap | None = None,
 ) -> Canvas:
-    """Draw a result on its frame, at the frame's size or resized to `width` pixels."""
-    canvas = Canvas.of(result.frame.image, width)
+    """Draw a result on its frame, at the frame's size or resized to `width` pixels.
+
+    `tone` is that of earlier frames, for a picture that does not flicker.
+    """
+    canvas = Canvas.of(result.frame.image, width, tone)
     for annotator in annotators:
         annotator.annotate(canvas, result)
     return canvas
@@ -204,12 +209,15 @@ def evenly_spaced(total: int, wanted: int) -> list[int]:
     return [int(index) for index in np.rint(np.linspace(0, total - 1, count))]
 
 
-def to_bgr8(image: Image) -> npt.NDArray[np.uint8]:
-    """Give a copy of an image for people: uint8 HxWx3, 16-bit and float values stretched."""
-    grey_levels = image if image.dtype == np.uint8 else _stretched(image)
-    if grey_levels.ndim == 2:
-        return np.asarray(cv2.cvtColor(grey_levels, cv2.COLOR_GRAY2BGR))
-    return grey_levels.copy()
+def to_bgr8(image: Image, tone: ToneMap | None = None) -> npt.NDArray[np.uint8]:
+    """Give a copy of an image for people: uint8 HxWx3, 16-bit and float values stretched.
+
+    `tone` stretches them, by default as this image alone asks for.
+    """
+    picture = (tone or ToneMap())(image)
+    if picture.ndim == 2:
+        return np.asarray(cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR))
+    return picture.copy() if picture is image else picture
 
 
 def write_png(path: Path, picture: npt.NDArray[np.uint8]) -> None:
@@ -243,19 +251,6 @@ def _grid(
         top, left = row * (height + gap), column * (width + gap)
         grid[top : top + tile.shape[0], left : left + tile.shape[1]] = tile
     return grid
-
-
-def _stretched(image: Image) -> npt.NDArray[np.uint8]:
-    # A sixteenth of the pixels is plenty for two percentiles, and much faster.
-    sample = image[::4, ::4]
-    finite = sample[np.isfinite(sample)]
-    if not finite.size:
-        return np.zeros(image.shape, np.uint8)
-    low, high = (float(value) for value in np.percentile(finite, (0.5, 99.5)))
-    span = high - low if high > low else 1.0
-    scaled = (np.nan_to_num(image.astype(np.float32), nan=low) - low) * (255.0 / span)
-    stretched: npt.NDArray[np.uint8] = np.clip(scaled, 0.0, 255.0).astype(np.uint8)
-    return stretched
 
 
 def _write(canvas: Canvas, text: str, corner: tuple[int, int], colour: Colour) -> None:
