@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import cv2
 import numpy as np
 import pytest
@@ -20,6 +22,7 @@ from turbseg_ros.segmentation.silhouette import (
     enlarged,
     guided_filter,
     moving_areas,
+    object_windows,
     separated,
     silhouettes,
     without_shadow,
@@ -27,6 +30,14 @@ from turbseg_ros.segmentation.silhouette import (
 
 SHAPE = (96, 160)
 NOTHING = np.zeros(SHAPE, bool)
+STILL = MotionEstimate(
+    velocity=np.zeros((48, 80, 2), np.float32),
+    motion_map=np.zeros((48, 80), np.float32),
+    noise=np.ones((48, 80), np.float32),
+    tilt=0.05,
+    visible=np.ones((48, 80), bool),
+    ego_motion_model="affine",
+)
 TILT, THRESHOLD = 0.1, 2.5
 
 
@@ -66,7 +77,8 @@ def area_around(*objects: Mask, margin: int = 7) -> MovingArea:
 def cut_out(image: np.ndarray, areas: list[MovingArea], views: list[View]) -> list[Mask]:
     """The outlines' masks, each of the whole frame."""
     masks = []
-    for outline in silhouettes(image, areas, views, TILT, THRESHOLD):
+    windows = object_windows(image, areas, views, STILL, TILT, stamp=0)
+    for outline in silhouettes(windows, THRESHOLD):
         mask = NOTHING.copy()
         mask[outline.box.slices] = outline.mask
         masks.append(mask)
@@ -338,3 +350,14 @@ def test_the_guided_filter_keeps_the_edges_of_its_guide() -> None:
     np.testing.assert_allclose(kept, step, atol=0.1)
     blurred = guided_filter(np.full(SHAPE, 0.5, np.float32), step, radius=2, epsilon=1e-3)
     assert np.abs(blurred - step).max() > 0.5
+
+
+def test_the_motion_of_a_window_lies_where_the_picture_does() -> None:
+    motion_map = np.zeros((48, 80), np.float32)
+    motion_map[15:27, 30:48] = 3.0
+    moved = dataclasses.replace(STILL, motion_map=motion_map, noise=np.full((48, 80), 0.5, "f4"))
+    image = ground_of(1)
+    (window,) = object_windows(image, [area_around(CAR)], still_views(image), moved, TILT, stamp=7)
+    assert (window.stamp, window.motion.max()) == (7, 6.0)
+    expected = CAR[window.box.slices]
+    assert jaccard(window.motion > 3.0, expected) > 0.98

@@ -17,12 +17,14 @@ from turbseg_ros.segmentation.background import Box, View
 from turbseg_ros.segmentation.flow import flows_to
 from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResult
 from turbseg_ros.segmentation.motion import MotionEstimate, affine_motion, sampson_motion
+from turbseg_ros.segmentation.refinement import Refiner, refined_silhouettes
 from turbseg_ros.segmentation.region_growing import Region
 from turbseg_ros.segmentation.silhouette import (
     MovingArea,
     Outline,
     enlarged,
     moving_areas,
+    object_windows,
     silhouettes,
     union,
 )
@@ -72,8 +74,12 @@ class MotionSegmenter:
     another size or kind than the one before starts a new window; ids go on.
     """
 
-    def __init__(self, parameters: Parameters) -> None:
-        """Set up without frames; see `turbseg_ros.parameters` for what can be chosen."""
+    def __init__(self, parameters: Parameters, refiner: Refiner | None = None) -> None:
+        """Set up without frames; see `turbseg_ros.parameters` for what can be chosen.
+
+        :param refiner: draws the outlines; without one, rules do.
+        """
+        self._refiner = refiner
         self._executor = ThreadPoolExecutor(_FLOW_THREADS, thread_name_prefix="flow")
         self._tone = ToneMap()
         self.reconfigure(parameters)
@@ -157,7 +163,7 @@ class MotionSegmenter:
         regions = self._regions(motion)
         scale = self._resolution.detail_from_processing[0]
         tilt = 0.0 if np.isnan(motion.tilt) else motion.tilt * scale
-        candidates = self._outlines(centre, motion, regions, ego_motion, tilt)
+        candidates = self._outlines(centre, motion, regions, ego_motion, tilt, frame.stamp)
         observations = self._identities.update(candidates, ego_motion, tilt)
         self._window.mark_objects(centre, _widened(candidates, self._detail_shape, _GUARD))
         return _Pending(frame, self._resolution, motion, observations)
@@ -225,6 +231,7 @@ class MotionSegmenter:
         regions: Sequence[Region],
         ego_motion: Matrix,
         tilt: float,
+        stamp: int,
     ) -> list[Candidate]:
         """Turn moving regions into outlines at detail resolution."""
         assert self._resolution is not None
@@ -235,12 +242,19 @@ class MotionSegmenter:
             outlines = [Outline.of(mask) for mask in masks if mask.any()]
         else:
             resting = self._resting_objects(moving, ego_motion)
-            outlines = silhouettes(
+            windows = object_windows(
                 self._window[centre].detail,
                 [*areas, *resting],
                 self._views(centre, areas),
+                motion,
                 tilt,
-                self._parameters.outline.threshold,
+                stamp,
+            )
+            threshold = self._parameters.outline.threshold
+            outlines = (
+                silhouettes(windows, threshold)
+                if self._refiner is None
+                else refined_silhouettes(windows, self._refiner.refine(windows))
             )
         return [
             _candidate(outline, moving, motion, self._resolution)

@@ -68,6 +68,23 @@ class MovingArea:
 
 
 @dataclass(frozen=True)
+class ObjectWindow:
+    """A part of a frame in which something moves, and all that is known of it there.
+
+    `image` is hxwxC; `motion` is hxw, the motion map M in units of its noise; `tilt` is the rms
+    turbulent motion an axis in pixels; `stamp` is the frame's, in nanoseconds.
+    """
+
+    box: Box
+    image: Image
+    background: Background
+    area: MovingArea
+    motion: Map
+    tilt: float
+    stamp: int
+
+
+@dataclass(frozen=True)
 class Outline:
     """What was cut out: a box of the frame and the mask within it."""
 
@@ -109,37 +126,55 @@ def moving_areas(
     return areas
 
 
-def silhouettes(
+def object_windows(
     image: Image,
     areas: Sequence[MovingArea],
     views: Sequence[View],
+    motion: MotionEstimate,
     tilt: float,
-    threshold: float,
-) -> list[Outline]:
-    """Cut the objects out of moving areas.
-
-    Areas that touch are looked at together; what is found is split by the gaps in it.
+    stamp: int,
+) -> list[ObjectWindow]:
+    """Gather what is known of moving areas; those that touch are looked at together.
 
     :param image: HxWxC, the frame.
     :param views: the scene at other times, for its background.
     :param tilt: rms turbulent motion an axis in pixels.
-    :param threshold: standard deviations by which an object differs from the background.
     """
     shape = (image.shape[0], image.shape[1])
     moving = union([area.mask for area in areas], shape)
     core = union([area.core for area in areas], shape)
     heart = union([area.heart for area in areas], shape)
-    found = []
+    windows = []
     count, pieces = cv2.connectedComponents(moving.astype(np.uint8))
     for piece in range(1, count):
         inside = pieces == piece
         box = Box.around(inside).grown(_MARGIN, shape)
         cut = box.slices
-        background = background_in(box, views)
-        area = MovingArea(inside[cut], core[cut], heart[cut], (0.0, 0.0))
-        mask = standing_out(background, image[cut], area, tilt, threshold)
-        parts = [without_shadow(part, image[cut], background) for part in separated(mask)]
-        found += [Outline.of(part, box.x0, box.y0) for part in parts if part.any()]
+        windows.append(
+            ObjectWindow(
+                box=box,
+                image=image[cut],
+                background=background_in(box, views),
+                area=MovingArea(inside[cut], core[cut], heart[cut], (0.0, 0.0)),
+                motion=_cropped(motion.motion_map / motion.noise, box, shape),
+                tilt=tilt,
+                stamp=stamp,
+            )
+        )
+    return windows
+
+
+def silhouettes(windows: Sequence[ObjectWindow], threshold: float) -> list[Outline]:
+    """Cut the objects out of windows; what is found in one is split by the gaps in it.
+
+    :param threshold: standard deviations by which an object differs from the background.
+    """
+    found = []
+    for window in windows:
+        background, image = window.background, window.image
+        mask = standing_out(background, image, window.area, window.tilt, threshold)
+        parts = [without_shadow(part, image, background) for part in separated(mask)]
+        found += [Outline.of(part, window.box.x0, window.box.y0) for part in parts if part.any()]
     return found
 
 
@@ -217,7 +252,7 @@ def without_shadow(mask: Mask, image: Image, background: Background) -> Mask:
         small = statistics[patch, cv2.CC_STAT_AREA] <= _SHADOW_SHARE * area
         if small and centroids[patch][1] > middle and (inside & rim).any():
             lit &= ~inside
-    return _opened(lit)
+    return opened(lit)
 
 
 def guided_filter(guide: Map, source: Map, radius: int, epsilon: float) -> Map:
@@ -326,6 +361,27 @@ def _eroded(mask: Mask, radius: int) -> Mask:
     return eroded
 
 
+def _cropped(values: Map, box: Box, shape: tuple[int, int]) -> Map:
+    """Give the part of a map that a box of the frame of `shape` covers, at the frame's scale."""
+    scale_x, scale_y = values.shape[1] / shape[1], values.shape[0] / shape[0]
+    height, width = box.shape
+    # Pixel centres lie at half of a pixel.
+    to_values = np.array(
+        [
+            [scale_x, 0.0, (box.x0 + 0.5) * scale_x - 0.5],
+            [0.0, scale_y, (box.y0 + 0.5) * scale_y - 0.5],
+        ]
+    )
+    cropped: Map = cv2.warpAffine(
+        values,
+        to_values,
+        (width, height),
+        flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+        borderMode=cv2.BORDER_REPLICATE,
+    )
+    return cropped
+
+
 def enlarged(mask: Mask, size: tuple[int, int]) -> Mask:
     """Give a mask at another size (width, height)."""
     resized: Mask = cv2.resize(mask.astype(np.uint8) * np.uint8(255), size) > 127
@@ -344,10 +400,11 @@ def _filled(mask: Mask) -> Mask:
     kernel = np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)
     closed = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_CLOSE, kernel)
     outlines, _ = cv2.findContours(closed, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    return _opened(cv2.drawContours(np.zeros_like(closed), outlines, -1, 1, cv2.FILLED) > 0)
+    return opened(cv2.drawContours(np.zeros_like(closed), outlines, -1, 1, cv2.FILLED) > 0)
 
 
-def _opened(mask: Mask) -> Mask:
+def opened(mask: Mask) -> Mask:
+    """Take away what is thinner than three pixels."""
     opened: Mask = (
         cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0
     )
