@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from drawn_scene import ByteImage, DrawnScene, jaccard, texture
 
-from turbseg_ros.parameters import Parameters, load_parameters
+from turbseg_ros.parameter_file import load_parameters
+from turbseg_ros.parameters import Parameters
 from turbseg_ros.segmentation.frame import Frame, SegmentationResult
 from turbseg_ros.segmentation.pipeline import MotionSegmenter
 

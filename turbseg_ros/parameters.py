@@ -10,17 +10,12 @@ import dataclasses
 import difflib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, TypeVar
-
-import yaml
 
 Value = bool | int | float | str
 
 T = TypeVar("T")
 
-# Sections of a ROS parameter file that speak to this node.
-_NODE_SECTIONS = ("/**", "/*", "turbseg", "/turbseg")
 # Names every ROS node has, which are the middleware's business and not ours.
 _MIDDLEWARE_NAMES = ("use_sim_time", "qos_overrides", "start_type_description_service")
 
@@ -398,55 +393,6 @@ def markdown_table() -> str:
         description = declared.description + (" *" if not declared.read_only else "")
         rows.append(f"| `{declared.name}` | {declared.default}{unit} | {limits} | {description} |")
     return "\n".join(rows)
-
-
-def load_parameters(path: Path) -> Parameters:
-    """Read a ROS 2 parameter file (``/**: ros__parameters: ...``).
-
-    Sections of other nodes and names that belong to the middleware are passed over.
-
-    :raises ParameterError: when the file can't be read as one, or holds an unknown name or a
-        refused value; the text names the file.
-    """
-    try:
-        content = yaml.safe_load(path.read_text())
-    except OSError as error:
-        raise ParameterError(f"{path}: {error.strerror or error}") from error
-    except (yaml.YAMLError, ValueError, IndexError, RecursionError) as error:
-        reason = " ".join(str(error).split())
-        raise ParameterError(f"{path}: not a YAML file ({reason})") from error
-    try:
-        return Parameters.from_mapping(_own_values(content))
-    except RecursionError:
-        raise ParameterError(f"{path}: a group holds itself") from None
-    except ParameterError as error:
-        raise ParameterError(f"{path}: {error}") from error
-
-
-def _own_values(content: object) -> dict[str, object]:
-    if not isinstance(content, dict):
-        raise ParameterError("no ROS parameter file: expected '/**: ros__parameters: ...'")
-    values: dict[str, object] = {}
-    sections = [name for name in _NODE_SECTIONS if name in content]
-    if not sections:
-        raise ParameterError(f"no section for this node ({', '.join(_NODE_SECTIONS)})")
-    for name in sections:
-        section = content[name]
-        if not isinstance(section, dict) or not isinstance(section.get("ros__parameters"), dict):
-            raise ParameterError(f"section {name} has no mapping under 'ros__parameters'")
-        values.update(_flattened(section["ros__parameters"]))
-    return {name: value for name, value in values.items() if not belongs_to_middleware(name)}
-
-
-def _flattened(tree: Mapping[Any, object], prefix: str = "") -> dict[str, object]:
-    flat: dict[str, object] = {}
-    for key, value in tree.items():
-        name = f"{prefix}{key}"
-        if isinstance(value, dict):
-            flat.update(_flattened(value, f"{name}."))
-        else:
-            flat[name] = value
-    return flat
 
 
 def _walk(group: Any, prefix: str = "") -> Iterator[tuple[str, dataclasses.Field[Any], Value]]:

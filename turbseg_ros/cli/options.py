@@ -12,22 +12,23 @@ import yaml
 from tqdm import tqdm
 from tqdm.contrib.logging import logging_redirect_tqdm
 
-from turbseg_ros.parameters import (
-    Declaration,
-    ParameterError,
-    Parameters,
-    declarations,
-    load_parameters,
-)
+from turbseg_ros.parameter_file import load_parameters
+from turbseg_ros.parameters import Declaration, ParameterError, Parameters, declarations
 
 T = TypeVar("T")
 
 
 def add_parameter_options(parser: argparse.ArgumentParser) -> None:
-    """Add `--params-file` and `-p`, and list the parameters below the help text."""
+    """Add `--params-file`, `--node` and `-p`, and list the parameters below the help text."""
     group = parser.add_argument_group("parameters")
     group.add_argument(
         "--params-file", type=Path, metavar="YAML", help="ROS 2 parameter file of the node"
+    )
+    group.add_argument(
+        "--node",
+        metavar="NAME",
+        help="node whose sections of the file are read, where they are for several "
+        "(as /north/turbseg)",
     )
     group.add_argument(
         "-p",
@@ -49,7 +50,7 @@ def parameters_from(options: argparse.Namespace) -> Parameters:
     """
     parameters = Parameters()
     if options.params_file is not None:
-        parameters = load_parameters(options.params_file)
+        parameters = load_parameters(options.params_file, options.node)
     return parameters.replace(dict(_parsed(override) for override in options.overrides))
 
 

@@ -19,7 +19,8 @@ import numpy as np
 import numpy.typing as npt
 
 from turbseg_ros.evaluation.replay import Segmenter
-from turbseg_ros.parameters import Parameters, load_parameters
+from turbseg_ros.parameter_file import load_parameters
+from turbseg_ros.parameters import Parameters
 from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResult
 from turbseg_ros.segmentation.pipeline import MotionSegmenter
 from turbseg_ros.segmentation.stabilization import align, register_affine, visible
