@@ -8,7 +8,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from turbseg_ros.segmentation.geometry import affine_flow, pixel_grid, sampson_distance
-from turbseg_ros.segmentation.motion import affine_motion, measured_tilt, sampson_motion
+from turbseg_ros.segmentation.motion import (
+    Average,
+    affine_motion,
+    mean_velocity,
+    measured_tilt,
+    sampson_motion,
+    slope_velocity,
+    unchecked_motion,
+)
 
 SHAPE = (96, 160)
 CENTRED = (-4, -2, 2, 4)
@@ -118,6 +126,37 @@ def test_velocity_is_less_certain_where_fewer_frames_see_it() -> None:
     weights[4][:, 100:] = 0.0
     motion = affine_motion(turbulent_residuals(0.3, CENTRED), weights)
     assert motion.noise[:, 100:].min() > 1.2 * motion.noise[:, :100].max()
+
+
+@pytest.mark.parametrize("average", [slope_velocity, mean_velocity])
+def test_an_average_states_its_own_error(average: Average) -> None:
+    rng = np.random.default_rng(0)
+    flows = {i: rng.standard_normal((*SHAPE, 2)).astype(np.float32) for i in CENTRED}
+    weights = everywhere(CENTRED)
+    weights[4][:, 100:] = 0.0
+    velocity, error = average(flows, weights)
+    for part in (np.s_[:, :100], np.s_[:, 100:]):
+        assert velocity[part].std() == pytest.approx(float(error[part].mean()), rel=0.05)
+
+
+def test_the_mean_is_that_of_the_flows_a_frame() -> None:
+    intervals = (-2, -1, 1, 2)
+    motion = affine_motion(scene_flows(intervals), everywhere(intervals), mean_velocity)
+    fitted = affine_motion(scene_flows(intervals), everywhere(intervals))
+    np.testing.assert_allclose(
+        np.median(motion.velocity[OBJECT], axis=(0, 1)), (1.5, -0.5), atol=0.05
+    )
+    assert np.abs(motion.velocity - fitted.velocity).max() > 0.01
+
+
+def test_unchecked_motion_keeps_the_motion_of_the_camera() -> None:
+    motion = unchecked_motion(scene_flows(CENTRED), everywhere(CENTRED))
+    still = np.ones(SHAPE, bool)
+    still[OBJECT] = False
+    error = np.abs(motion.velocity - affine_flow(PAN, SHAPE))[still]
+    assert np.median(error) < 0.05
+    assert motion.tilt == pytest.approx(0.2, rel=0.1)
+    assert motion.ego_motion_model == "none"
 
 
 def test_a_still_scene_has_noise_all_the_same() -> None:

@@ -166,8 +166,8 @@ class MotionParameters:
     measure: str = parameter(
         "affine",
         "affine: distance from an affine ego-motion; sampson: Sampson distance under a "
-        "fundamental matrix, the paper's eq. 2.",
-        choices=("affine", "sampson"),
+        "fundamental matrix, the paper's eq. 2; none: the flow as it is.",
+        choices=("affine", "sampson", "none"),
         read_only=True,
     )
 

@@ -25,6 +25,7 @@ VARIANTS: Mapping[str, Mapping[str, Value]] = {
     "interval 5": {"flow.interval": 5},
     "mean flow (eq. 1)": {"flow.average": "mean"},
     "Sampson distance (eq. 2)": {"motion.measure": "sampson"},
+    "no geometric check": {"motion.measure": "none"},
     "similar magnitude (eq. 3)": {"growing.similarity": "magnitude"},
     "growing only": {"outline.method": "none"},
 }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +13,12 @@ from turbseg_ros.segmentation import geometry
 
 Flow = npt.NDArray[np.float32]
 Map = npt.NDArray[np.float32]
+
+Average = Callable[[Mapping[int, Flow], Mapping[int, Map]], tuple[Flow, Map]]
+"""Makes one velocity of a pixel's flows, HxWx2 in pixels a frame.
+
+Beside it, its standard error for flows of unit variance, HxW; inf where there are too few.
+"""
 
 # Temporal correlation of tilt at lags 1 to 8, at 30 Hz, as seen on a real clip; beyond, it is 0.1.
 _TILT_CORRELATION = (1.0, 0.6, 0.35, 0.25, 0.2, 0.17, 0.15, 0.12, 0.1)
@@ -40,15 +46,52 @@ class MotionEstimate:
     ego_motion_model: str
 
 
-def affine_motion(flows: Mapping[int, Flow], weights: Mapping[int, Map]) -> MotionEstimate:
-    """Measure motion as the slope of the flows less an affine ego-motion.
+def slope_velocity(flows: Mapping[int, Flow], weights: Mapping[int, Map]) -> tuple[Flow, Map]:
+    """Fit a line through the flows, see `flow.slope_flow`; an `Average`."""
+    return optical_flow.slope_flow(flows, weights), _slope_uncertainty(weights)
+
+
+def mean_velocity(flows: Mapping[int, Flow], weights: Mapping[int, Map]) -> tuple[Flow, Map]:
+    """Average the flows a frame, the paper's eq. 1 over what a pixel has; an `Average`."""
+    s0, squares = (
+        np.sum([weight / np.float32(i**power) for i, weight in weights.items()], axis=0)
+        for power in (0, 2)
+    )
+    share = np.float32(1.0) / np.maximum(s0, np.float32(1.0))
+    total = np.zeros_like(next(iter(flows.values())))
+    for i, flow in flows.items():
+        total += flow * (weights[i] / np.float32(i))[..., None]
+    velocity: Flow = total * share[..., None]
+    error: Map = np.where(s0 > 1, share * np.sqrt(squares), np.float32(np.inf))
+    return velocity, error
+
+
+def affine_motion(
+    flows: Mapping[int, Flow], weights: Mapping[int, Map], average: Average = slope_velocity
+) -> MotionEstimate:
+    """Measure motion as the average of the flows less an affine ego-motion.
 
     :param flows: {i: F(t→t+i)} in pixels, HxWx2, neighbours already roughly aligned.
     :param weights: {i: HxW}, 1 where the pixel is seen in frame t+i, else 0.
     """
-    residuals = {i: _less_ego_motion(flow, weights[i]) for i, flow in flows.items()}
-    velocity = optical_flow.slope_flow(residuals, weights)
-    uncertainty = _slope_uncertainty(weights)
+    residuals = _residuals(flows, weights)
+    return _estimate(*average(residuals, weights), residuals, "affine")
+
+
+def unchecked_motion(
+    flows: Mapping[int, Flow], weights: Mapping[int, Map], average: Average = slope_velocity
+) -> MotionEstimate:
+    """Measure motion as the average of the flows alone, as the paper's ablation of eq. 2 does.
+
+    Only what the alignment of the neighbours took out is missing from it. For `flows` and
+    `weights` see `affine_motion`; the tilt is measured as there.
+    """
+    return _estimate(*average(flows, weights), _residuals(flows, weights), "none")
+
+
+def _estimate(
+    velocity: Flow, uncertainty: Map, residuals: Mapping[int, Flow], ego_motion_model: str
+) -> MotionEstimate:
     visible = np.isfinite(uncertainty)
     velocity[~visible] = 0.0
     motion_map: Map = np.hypot(velocity[..., 0], velocity[..., 1])
@@ -60,7 +103,7 @@ def affine_motion(flows: Mapping[int, Flow], weights: Mapping[int, Map]) -> Moti
         noise=noise.astype(np.float32),
         tilt=measured_tilt(residuals, visible),
         visible=visible,
-        ego_motion_model="affine",
+        ego_motion_model=ego_motion_model,
     )
 
 
@@ -91,7 +134,7 @@ def sampson_motion(
         np.sqrt(np.mean(distances, axis=0)) if distances else np.zeros(shape, np.float32)
     )
     motion_map[~visible] = 0.0
-    residuals = {i: _less_ego_motion(flow, weights[i]) for i, flow in flows.items()}
+    residuals = _residuals(flows, weights)
     noise = max(_robust_deviation(motion_map[visible]), _LEAST_NOISE)
     return MotionEstimate(
         velocity=optical_flow.slope_flow(residuals, weights),
@@ -122,6 +165,10 @@ def measured_tilt(residuals: Mapping[int, Flow], visible: npt.NDArray[np.bool_])
 
 def _tilt_correlation(lag: int) -> float:
     return _TILT_CORRELATION[min(lag, len(_TILT_CORRELATION) - 1)]
+
+
+def _residuals(flows: Mapping[int, Flow], weights: Mapping[int, Map]) -> dict[int, Flow]:
+    return {i: _less_ego_motion(flow, weights[i]) for i, flow in flows.items()}
 
 
 def _less_ego_motion(flow: Flow, weights: Map) -> Flow:

@@ -16,7 +16,14 @@ from turbseg_ros.segmentation import region_growing
 from turbseg_ros.segmentation.background import Box, View
 from turbseg_ros.segmentation.flow import flows_to
 from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResult
-from turbseg_ros.segmentation.motion import MotionEstimate, affine_motion, sampson_motion
+from turbseg_ros.segmentation.motion import (
+    MotionEstimate,
+    affine_motion,
+    mean_velocity,
+    sampson_motion,
+    slope_velocity,
+    unchecked_motion,
+)
 from turbseg_ros.segmentation.refinement import Refiner, refined_silhouettes
 from turbseg_ros.segmentation.region_growing import Region
 from turbseg_ros.segmentation.silhouette import (
@@ -211,7 +218,9 @@ class MotionSegmenter:
         flows = flows_to(grey, aligned, p.flow.variational_iterations, self._executor)
         if p.motion.measure == "sampson":
             return sampson_motion(flows, weights, _interval_sets(p.flow.interval))
-        return affine_motion(flows, weights)
+        measure = affine_motion if p.motion.measure == "affine" else unchecked_motion
+        average = mean_velocity if p.flow.average == "mean" else slope_velocity
+        return measure(flows, weights, average)
 
     def _regions(self, motion: MotionEstimate) -> list[Region]:
         seed, growing = self._parameters.seed, self._parameters.growing
