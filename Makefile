@@ -9,7 +9,7 @@ VENV_FLAGS := $(if $(SOURCED_ROS),--system-site-packages)
 EXTRAS := bags,test,lint,colcon$(if $(SOURCED_ROS),,$(comma)wheels)
 CONSTRAINTS := $(if $(SOURCED_ROS),,-c constraints.txt)
 
-.PHONY: venv demo test soak lint clean
+.PHONY: venv demo test bench soak lint clean
 
 venv: .venv/complete
 
@@ -24,6 +24,10 @@ demo: venv
 
 test: lint
 	$(BIN)/python -m pytest
+
+# What a frame takes, in one run with rivals and a yardstick; figures in out/benchmark.json.
+bench: venv
+	$(BIN)/python -m turbseg_ros.cli benchmark --json out/benchmark.json
 
 # What takes minutes: floods, long runs, thousands of random messages.
 soak: venv

@@ -6,7 +6,7 @@ from setuptools import find_packages, setup
 
 PACKAGE = "turbseg_ros"
 
-EXECUTABLES = ("node", "play", "replay", "evaluate", "simulate", "import")
+EXECUTABLES = ("node", "play", "replay", "evaluate", "simulate", "import", "benchmark")
 
 
 def _files(folder: str) -> list[str]:

@@ -28,6 +28,7 @@ replay = _starter("replay")
 evaluate = _starter("evaluate")
 simulate = _starter("simulate")
 import_ = _starter("import_")
+benchmark = _starter("benchmark")
 demo = _starter("demo")
 
 _STARTERS = {
@@ -37,6 +38,7 @@ _STARTERS = {
     "evaluate": evaluate,
     "simulate": simulate,
     "import": import_,
+    "benchmark": benchmark,
     "demo": demo,
 }
 

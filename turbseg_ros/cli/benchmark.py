@@ -1,0 +1,221 @@
+"""`turbseg_benchmark`: what a frame takes, stage by stage and beside rivals, at several sizes."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import itertools
+import json
+import os
+import platform
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from turbseg_ros.cli.arguments import positive_count
+from turbseg_ros.cli.errors import UsageError, executable
+from turbseg_ros.cli.options import add_parameter_options, parameters_from, with_progress
+from turbseg_ros.evaluation.benchmark import (
+    YARDSTICK_SIZE,
+    Footprint,
+    Timing,
+    endless,
+    footprint,
+    measure,
+)
+from turbseg_ros.evaluation.rivals import (
+    RIVALS,
+    BackgroundSubtraction,
+    Contender,
+    Method,
+    config_path,
+)
+from turbseg_ros.parameters import Parameters, load_parameters
+from turbseg_ros.simulation.objects import Path as ObjectPath
+from turbseg_ros.simulation.objects import SceneObject
+from turbseg_ros.simulation.render import render
+from turbseg_ros.simulation.scenes import Scene
+from turbseg_ros.simulation.turbulence import Turbulence
+
+_METHOD = "turbseg"
+_SIZES = ((640, 480), (1280, 720), (1920, 1080))
+_RATE_HZ = 30.0
+_SEED = 7
+# Frames that are rendered, and then shown forward and backward.
+_CLIP = 30
+# Enough for the background's memory to be full.
+_WARM_UP = 50
+_KINDS = ("sedan", "person", "van", "pickup")
+_MOST_OBJECTS = 16
+
+
+@executable("turbseg_benchmark")
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the executable; give its exit status."""
+    options = _parser().parse_args(arguments)
+    parameters = parameters_from(options)
+    if options.json is not None:
+        options.json.parent.mkdir(parents=True, exist_ok=True)
+    if not 0 <= options.objects <= _MOST_OBJECTS:
+        raise UsageError(f"--objects {options.objects}: give 0 to {_MOST_OBJECTS}")
+    contenders = _contenders(options.rivals, parameters)
+    scene = _scene(options.objects)
+    clip = [
+        rendered.image
+        for rendered in with_progress(render(scene, _SEED), "rendering", total=scene.frames)
+    ]
+    cases = []
+    for size in options.sizes:
+        count = _WARM_UP + options.frames
+        frames = itertools.islice(endless(clip, size, _RATE_HZ), count)
+        title = f"{size[0]}x{size[1]}"
+        timing = measure(contenders, with_progress(frames, title, total=count), _WARM_UP, size)
+        needs = footprint(parameters, itertools.islice(endless(clip, size, _RATE_HZ), count))
+        print("", *_table(timing, needs, options), sep="\n", flush=True)
+        cases.append((timing, needs))
+    if options.json is not None:
+        options.json.write_text(json.dumps(_report(cases, options, parameters), indent=2) + "\n")
+    return 0
+
+
+def _contenders(rivals: Sequence[str], parameters: Parameters) -> list[Contender]:
+    """Give the method and its rivals; the paper's with live ids, for no clip ends here."""
+    contenders: list[Contender] = [Method(_METHOD, parameters)]
+    for name in rivals:
+        if name == "paper":
+            paper = load_parameters(config_path("paper.yaml"))
+            contenders.append(Method(name, paper.replace({"tracking.mode": "kalman"})))
+        else:
+            contenders.append(BackgroundSubtraction(name, stabilised=False))
+    return contenders
+
+
+def _scene(objects: int) -> Scene:
+    """Give a street with so many objects, one behind the other, that come and go."""
+    return Scene(
+        "benchmark",
+        "vehicles and people on a street",
+        "town",
+        Turbulence.typical(0.7, 864),
+        tuple(_object(number, objects) for number in range(objects)),
+        width=864,
+        height=486,
+        frames=_CLIP,
+        rate_hz=_RATE_HZ,
+    )
+
+
+def _object(number: int, count: int) -> SceneObject:
+    kind = _KINDS[number % len(_KINDS)]
+    speed = (1.5 if kind == "person" else 4.0) * (-1) ** number
+    x = 864 * (number + 0.5) / count - speed * _CLIP / 2
+    y = 290.0 + 90.0 * number / count
+    way = ObjectPath(((0, x, y), (_CLIP, x + speed * _CLIP, y)))
+    return SceneObject(number + 1, kind, 50.0 if kind == "person" else 90.0, way)
+
+
+def _table(timing: Timing, needs: Footprint, options: argparse.Namespace) -> Iterator[str]:
+    width, height = timing.size
+    yield (
+        f"{width}x{height}, {options.objects} objects, {options.frames} frames: "
+        f"{needs.mebibytes:.0f} MiB, first result after {needs.start_seconds:.1f} s"
+    )
+    yield f"{'':16} {'p50 ms':>8} {'p95 ms':>8} {'p99 ms':>8} {'flows':>7}"
+    rows = {**timing.frames, "flow": timing.yardstick}
+    for name, took in rows.items():
+        flows = took.p50 / timing.yardstick.p50
+        yield f"{name:16} {took.p50:8.1f} {took.p95:8.1f} {took.p99:8.1f} {flows:7.2f}"
+    yield f"{'stage':16} {'mean ms':>8} {'flows':>26}"
+    for name, milliseconds in timing.stages.items():
+        yield f"{name:16} {milliseconds:8.2f} {milliseconds / timing.yardstick.p50:26.2f}"
+
+
+def _report(
+    cases: Sequence[tuple[Timing, Footprint]], options: argparse.Namespace, parameters: Parameters
+) -> dict[str, Any]:
+    """Give everything that was measured, as JSON has it."""
+    return {
+        "machine": {
+            "cores": len(os.sched_getaffinity(0)),
+            "processor": platform.processor() or platform.machine(),
+            "python": platform.python_version(),
+            "opencv": cv2.__version__,
+            "numpy": np.__version__,
+        },
+        "objects": options.objects,
+        "frames": options.frames,
+        "parameters": parameters.as_mapping(),
+        "cases": [
+            {
+                **dataclasses.asdict(timing),
+                "ratios": {name: timing.ratio(name) for name in timing.frames},
+                **dataclasses.asdict(needs),
+            }
+            for timing, needs in cases
+        ],
+    }
+
+
+def _sizes(text: str) -> tuple[tuple[int, int], ...]:
+    """Read sizes such as 640x480,1920x1080."""
+    try:
+        sizes = tuple(_size(item) for item in text.split(","))
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"{text}: give sizes as 640x480,1920x1080") from error
+    if not all(64 <= side <= 8192 for size in sizes for side in size):
+        raise argparse.ArgumentTypeError(f"{text}: sides have 64 to 8192 pixels")
+    return sizes
+
+
+def _size(text: str) -> tuple[int, int]:
+    width, height = text.split("x")
+    return int(width), int(height)
+
+
+def _rivals(text: str) -> list[str]:
+    names = [name.strip() for name in text.split(",") if name.strip()]
+    unknown = [name for name in names if name not in RIVALS]
+    if unknown:
+        raise argparse.ArgumentTypeError(f"no rival {unknown[0]}; there are {', '.join(RIVALS)}")
+    return names
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="turbseg_benchmark",
+        description=(
+            "Time the method, its stages and its rivals on a rendered clip, turn by turn with one "
+            f"DIS flow (medium preset, {YARDSTICK_SIZE[0]}x{YARDSTICK_SIZE[1]}), and give the "
+            "ratio to that."
+        ),
+    )
+    parser.add_argument(
+        "--sizes",
+        type=_sizes,
+        default=_SIZES,
+        metavar="WxH,WxH",
+        help="of the frames (640x480,1280x720,1920x1080)",
+    )
+    parser.add_argument(
+        "--frames",
+        type=positive_count,
+        default=100,
+        metavar="N",
+        help=f"frames that are timed, after {_WARM_UP} others (%(default)s)",
+    )
+    parser.add_argument(
+        "--objects", type=int, default=2, metavar="N", help="moving objects (%(default)s)"
+    )
+    parser.add_argument(
+        "--rivals",
+        type=_rivals,
+        default=list(RIVALS),
+        metavar="NAMES",
+        help=f"some of {','.join(RIVALS)} (all)",
+    )
+    parser.add_argument("--json", type=Path, metavar="F", help="also write the figures as JSON")
+    add_parameter_options(parser)
+    return parser

@@ -1,0 +1,247 @@
+"""How long a frame takes: the whole, its stages and its rivals, beside a yardstick.
+
+Milliseconds depend on the machine and on what else it does. Everything here takes turns frame by
+frame with one optical flow of a fixed kind, so that the ratio to that means the same everywhere.
+"""
+
+from __future__ import annotations
+
+import functools
+import importlib
+import multiprocessing
+import threading
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from turbseg_ros.evaluation.rivals import Contender
+from turbseg_ros.parameters import Parameters
+from turbseg_ros.segmentation.frame import Frame
+from turbseg_ros.segmentation.pipeline import MotionSegmenter
+
+Picture = npt.NDArray[np.uint8]
+
+YARDSTICK_SIZE = (432, 240)
+"""Width and height of the pictures whose flow is the yardstick."""
+
+_PIPELINE = "turbseg_ros.segmentation.pipeline"
+STAGES: Mapping[str, str] = {
+    "scaling": f"{_PIPELINE}.prepare",
+    "registration": "turbseg_ros.segmentation.window.register_affine",
+    "optical flow": "turbseg_ros.segmentation.flow.dis_flow",
+    "motion map": f"{_PIPELINE}.affine_motion",
+    "seeds": "turbseg_ros.segmentation.region_growing.seed_strength",
+    "region growing": "turbseg_ros.segmentation.region_growing.grow_regions",
+    "outlines": f"{_PIPELINE}.silhouettes",
+    "background": "turbseg_ros.segmentation.silhouette.background_in",
+    "tracking": "turbseg_ros.segmentation.tracking.ObjectTracker.update",
+    "labels": f"{_PIPELINE}._result",
+}
+"""The functions whose time is told apart, where the callers find them."""
+
+
+@dataclass(frozen=True)
+class Percentiles:
+    """Percentiles of what frames took, in milliseconds."""
+
+    p50: float
+    p95: float
+    p99: float
+
+    @classmethod
+    def of(cls, seconds: Sequence[float]) -> Percentiles:
+        """Sum up durations in seconds, at least one."""
+        p50, p95, p99 = (1e3 * float(value) for value in np.percentile(seconds, [50, 95, 99]))
+        return cls(p50, p95, p99)
+
+
+@dataclass(frozen=True)
+class Timing:
+    """What contenders took for frames of one size.
+
+    `frames` gives each contender's times by its name, `yardstick` those of the flow beside it;
+    `stages` gives the mean milliseconds a frame that calls of each stage took, less those of
+    other stages within; stages run in several threads, so they may add up to more than the whole.
+    """
+
+    size: tuple[int, int]
+    frames: Mapping[str, Percentiles]
+    yardstick: Percentiles
+    stages: Mapping[str, float]
+
+    def ratio(self, name: str) -> float:
+        """Give the median time of a contender in medians of the yardstick."""
+        return self.frames[name].p50 / self.yardstick.p50
+
+
+@dataclass(frozen=True)
+class Footprint:
+    """What a process that does nothing but segment needs.
+
+    `mebibytes` is the most memory that was ever resident; `start_seconds` the time from the start
+    of the process, with all that it loads, to the first result, frames waiting for it.
+    """
+
+    mebibytes: float
+    start_seconds: float
+
+
+def endless(clip: Sequence[Picture], size: tuple[int, int], rate_hz: float) -> Iterator[Frame]:
+    """Give a clip forward and backward without end, scaled to cover `size` (width, height)."""
+    width, height = size
+    there_and_back = [*range(len(clip)), *range(len(clip) - 2, 0, -1)]
+    number = 0
+    while True:
+        picture = clip[there_and_back[number % len(there_and_back)]]
+        scale = max(width / picture.shape[1], height / picture.shape[0])
+        wide, high = round(width / scale), round(height / scale)
+        image = cv2.resize(picture[:high, :wide], size, interpolation=cv2.INTER_CUBIC)
+        yield Frame(stamp=round((1 + number / rate_hz) * 1e9), image=image)
+        number += 1
+
+
+def measure(
+    contenders: Sequence[Contender], frames: Iterable[Frame], warm_up: int, size: tuple[int, int]
+) -> Timing:
+    """Time contenders on the same frames, turn by turn; the stages are those of the first one.
+
+    :param warm_up: frames that are not counted, while memories fill.
+    """
+    segmenters = [contender.segmenter() for contender in contenders]
+    yardstick = _Yardstick()
+    seconds: list[list[float]] = [[] for _ in contenders]
+    yardstick_seconds = []
+    clock = StageClock()
+    for number, frame in enumerate(frames):
+        with clock.watching(STAGES) if number >= warm_up else ExitStack():
+            took = [_seconds(functools.partial(segmenters[0].push, frame))]
+        took += [_seconds(functools.partial(rival.push, frame)) for rival in segmenters[1:]]
+        flow_took = yardstick.seconds(frame.image)
+        if number >= warm_up:
+            yardstick_seconds.append(flow_took)
+            for durations, duration in zip(seconds, took, strict=True):
+                durations.append(duration)
+    counted = len(yardstick_seconds)
+    return Timing(
+        size=size,
+        frames={
+            contender.name: Percentiles.of(durations)
+            for contender, durations in zip(contenders, seconds, strict=True)
+        },
+        yardstick=Percentiles.of(yardstick_seconds),
+        stages={name: 1e3 * total / counted for name, total in clock.seconds.items()},
+    )
+
+
+class StageClock:
+    """Adds up the time spent in functions of other modules, which need not know of it.
+
+    A function's time is that of its calls less that of watched calls within, in the same thread.
+    """
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = defaultdict(float)
+        self._lock = threading.Lock()
+        self._within = threading.local()
+
+    @contextmanager
+    def watching(self, functions: Mapping[str, str]) -> Iterator[None]:
+        """Watch functions, {name: dotted path of the attribute that callers read}."""
+        with ExitStack() as stack:
+            for name, path in functions.items():
+                original = _resolve(path)
+                stack.enter_context(mock.patch(path, self._watched(name, original)))
+            yield
+
+    def _watched(self, name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        @functools.wraps(function)
+        def watched(*arguments: Any, **keywords: Any) -> Any:
+            outer = getattr(self._within, "seconds", 0.0)
+            self._within.seconds = 0.0
+            began = time.perf_counter()
+            try:
+                return function(*arguments, **keywords)
+            finally:
+                took = time.perf_counter() - began
+                with self._lock:
+                    self.seconds[name] += took - self._within.seconds
+                self._within.seconds = outer + took
+
+        return watched
+
+
+def footprint(parameters: Parameters, frames: Iterable[Frame]) -> Footprint:
+    """Segment frames in a process of their own and tell what it needs."""
+    context = multiprocessing.get_context("spawn")
+    here, there = context.Pipe()
+    began = time.perf_counter()
+    process = context.Process(target=_segment_from, args=(there, parameters), daemon=True)
+    process.start()
+    there.close()
+    first_result = None
+    with here:
+        for frame in frames:
+            here.send(frame)
+            if here.recv() and first_result is None:
+                first_result = time.perf_counter() - began
+        here.send(None)
+        mebibytes = here.recv()
+    process.join()
+    return Footprint(mebibytes, float("nan") if first_result is None else first_result)
+
+
+def _segment_from(connection: Connection, parameters: Parameters) -> None:
+    segmenter = MotionSegmenter(parameters)
+    while (frame := connection.recv()) is not None:
+        connection.send(len(segmenter.push(frame)))
+    connection.send(_most_resident())
+
+
+def _most_resident() -> float:
+    """Give the most MiB of this process that ever were resident."""
+    # Unlike getrusage's, this figure doesn't begin with what the parent process had.
+    lines = Path("/proc/self/status").read_text().splitlines()
+    (kibibytes,) = (line.split()[1] for line in lines if line.startswith("VmHWM:"))
+    return int(kibibytes) / 1024
+
+
+class _Yardstick:
+    """One DIS flow, OpenCV's medium preset, between successive pictures of one small size."""
+
+    def __init__(self) -> None:
+        self._dis = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+        self._previous: Picture | None = None
+
+    def seconds(self, picture: Picture) -> float:
+        """Give what the flow from the picture before to this one takes."""
+        small = cv2.resize(picture, YARDSTICK_SIZE, interpolation=cv2.INTER_AREA)
+        grey = cv2.cvtColor(small, cv2.COLOR_BGR2GRAY) if small.ndim == 3 else small
+        previous = grey if self._previous is None else self._previous
+        self._previous = grey
+        return _seconds(lambda: self._dis.calc(previous, grey, None))
+
+
+def _seconds(action: Callable[[], object]) -> float:
+    began = time.perf_counter()
+    action()
+    return time.perf_counter() - began
+
+
+def _resolve(path: str) -> Callable[..., Any]:
+    """Find what a dotted path names: an attribute of a module, or of a class in one."""
+    module, _, name = path.rpartition(".")
+    try:
+        owner: Any = importlib.import_module(module)
+    except ModuleNotFoundError:
+        owner = _resolve(module)
+    return getattr(owner, name)
