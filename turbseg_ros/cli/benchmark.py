@@ -33,7 +33,8 @@ from turbseg_ros.evaluation.rivals import (
     Method,
     config_path,
 )
-from turbseg_ros.parameters import Parameters, load_parameters
+from turbseg_ros.parameter_file import load_parameters
+from turbseg_ros.parameters import Parameters
 from turbseg_ros.simulation.objects import Path as ObjectPath
 from turbseg_ros.simulation.objects import SceneObject
 from turbseg_ros.simulation.render import render
