@@ -111,6 +111,30 @@ def test_ablation_changes_one_thing_at_a_time(
     )
 
 
+def test_sensitivity_halves_and_doubles_the_methods_numbers(
+    bag: Path, tmp_path: Path, made: list[Parameters], capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = ["-p", "flow.interval:=1", "-p", "growing.delta:=1.0", "-p", "max_objects:=3"]
+    content = evaluated(tmp_path / "out.json", bag, "--sensitivity", *given)
+    rows = {row["variant"]: row for row in content["sensitivity"]}
+    assert all(parameters.max_objects == 3 for parameters in made)
+    assert next(iter(rows)) == "as configured"
+    changes = [row["parameters"] for row in content["sensitivity"][1:]]
+    assert all(len(change) == 1 for change in changes)
+    named = {name for change in changes for name in change}
+    assert {"seed.delta1", "outline.threshold", "tracking.patience"} <= named
+    assert not [name for name in named if name.split(".")[0] in ("qos", "diagnostics")]
+    assert {"queue_size", "max_objects", "motion.measure"}.isdisjoint(named)
+    # Half of an interval of 1 rounds to 0, which the range makes 1 again; a delta is 1 at most.
+    assert [change for change in changes if "flow.interval" in change] == [{"flow.interval": 2}]
+    assert [change for change in changes if "growing.delta" in change] == [{"growing.delta": 0.5}]
+    assert {"seed.size": 4} in changes
+    assert {"seed.delta1": 10.0} in changes
+    # This method sees a row less with each interval.
+    assert rows["flow.interval 2"]["mean"]["j"] < rows["as configured"]["mean"]["j"]
+    assert "\nflow.interval 2 " in capsys.readouterr().out
+
+
 @pytest.mark.parametrize("curve", ["tilt", "shake"])
 def test_a_curve_has_a_point_for_every_strength(
     curve: str, bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -213,6 +237,7 @@ def test_without_any_scores_nothing_is_written(
         (["--seed", "-1"], "--seed"),
         (["--workers", "0"], "0 is not above 0"),
         (["--predictions", "x", "--ablation"], "--ablation segments anew"),
+        (["--predictions", "x", "--sensitivity"], "--sensitivity segments anew"),
         (["--predictions", "x", "--tilt-curve", "1"], "--tilt-curve segments anew"),
         (["--predictions", "x", "--report", "r"], "--report segments anew"),
         (["bag"], "a BAG is named twice"),

@@ -52,7 +52,8 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("report")
     stamps = [number * 33_000_000 for number in range(FRAMES)]
     bags = [write_drawn_bag(folder / name, stamps) for name in ("one", AWKWARD)]
-    comparisons = ["--rivals", "mog2,knn", "--ablation", "--tilt-curve", "0,1,2"]
+    comparisons = ["--rivals", "mog2,knn", "--tilt-curve", "0,1,2"]
+    comparisons += ["--ablation", "--sensitivity"]
     comparisons += ["--shake-curve", "0,1", "-p", "max_objects:=4"]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(rivals, "MotionSegmenter", DarkAreas)
@@ -102,7 +103,7 @@ def test_the_page_is_one_file_that_refers_to_nothing_outside(page: Path) -> None
 
 def test_the_page_shows_every_experiment_and_picture(page: Path) -> None:
     text = page.read_text()
-    for key in ("rivals", "tilt_curve", "shake_curve", "ablation"):
+    for key in ("rivals", "tilt_curve", "shake_curve", "ablation", "sensitivity"):
         assert f'id="{key}"' in text
     # For each bag 6 tiles and the same frame by 5 segmenters; this method has no bad frames.
     assert text.count("<img") == 2 * (6 + 5)

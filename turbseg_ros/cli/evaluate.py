@@ -25,6 +25,7 @@ from turbseg_ros.evaluation.experiments import (
     ScoredExperiment,
     ablation,
     against_rivals,
+    sensitivity,
     shake_curve,
     text_table,
     tilt_curve,
@@ -68,7 +69,7 @@ def _check(options: argparse.Namespace) -> None:
     if options.predictions is not None:
         if len(options.bags) > 1:
             raise UsageError("--predictions are those of one BAG; give one")
-        for name in ("rivals", "ablation", "tilt_curve", "shake_curve", "report"):
+        for name in ("rivals", "ablation", "sensitivity", "tilt_curve", "shake_curve", "report"):
             if getattr(options, name):
                 option = name.replace("_", "-")
                 raise UsageError(f"--{option} segments anew; leave out --predictions")
@@ -155,6 +156,8 @@ def _experiments(
         experiments.append(shake_curve(trials, contenders, options.shake_curve, options.seed))
     if options.ablation:
         experiments.append(ablation(trials, parameters))
+    if options.sensitivity:
+        experiments.append(sensitivity(trials, parameters))
     return experiments
 
 
@@ -303,6 +306,11 @@ def _add_comparisons(parser: argparse.ArgumentParser) -> None:
     )
     group.add_argument(
         "--ablation", action="store_true", help="the method with one thing changed at a time"
+    )
+    group.add_argument(
+        "--sensitivity",
+        action="store_true",
+        help="the method with each number among its parameters halved, and doubled",
     )
     group.add_argument(
         "--seed",

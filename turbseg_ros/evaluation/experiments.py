@@ -6,15 +6,16 @@ An experiment is a list of trials with names; once they have been run, their sco
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from turbseg_ros.evaluation.disturbance import AddedShake, AddedTurbulence, Disturbance
 from turbseg_ros.evaluation.rivals import Contender, Method
 from turbseg_ros.evaluation.scores import BagScores, Table, mean_scores
 from turbseg_ros.evaluation.trials import Trial, TrialResult
-from turbseg_ros.parameters import Parameters, Value
+from turbseg_ros.parameters import Declaration, Parameters, Value, declarations
 
 VARIANTS: Mapping[str, Mapping[str, Value]] = {
     "as configured": {},
@@ -31,18 +32,21 @@ VARIANTS: Mapping[str, Mapping[str, Value]] = {
 }
 """What the ablation changes, one thing at a time: names of variants and their parameters."""
 
+# Groups of parameters that the node has beside those of the method; so are all in no group.
+_GROUPS_OF_THE_NODE = ("qos", "diagnostics")
+
 
 @dataclass(frozen=True)
 class Row:
     """One contender on all bags: a line of a table, or a point of a curve at some `strength`.
 
-    `parameters` are those that an ablation changed.
+    `parameters` are those that are changed for it, where that is what the rows are about.
     """
 
     name: str
     trials: tuple[Trial, ...]
     strength: float | None = None
-    parameters: Mapping[str, Value] = field(default_factory=dict)
+    parameters: Mapping[str, Value] | None = None
 
 
 @dataclass(frozen=True)
@@ -76,12 +80,47 @@ def against_rivals(trials: Sequence[Trial], rivals: Sequence[Contender]) -> Expe
 
 def ablation(trials: Sequence[Trial], parameters: Parameters) -> Experiment:
     """Change one thing at a time in the method's parameters, on the bags of `trials`."""
+    return Experiment("ablation", "variant", _variants(trials, parameters, VARIANTS))
+
+
+def sensitivity(trials: Sequence[Trial], parameters: Parameters) -> Experiment:
+    """Halve and double each number among the method's parameters, on the bags of `trials`.
+
+    Whole numbers are rounded, all are kept within their range; what that leaves as it is, is
+    left out.
+    """
+    values = parameters.as_mapping()
+    variants: dict[str, dict[str, Value]] = {"as configured": {}}
+    for declared in declarations():
+        group, _, name = declared.name.partition(".")
+        number = values[declared.name]
+        if name and group not in _GROUPS_OF_THE_NODE and type(number) in (int, float):
+            for changed in _halved_and_doubled(declared, float(number)):
+                variants[f"{declared.name} {changed}"] = {declared.name: changed}
+    return Experiment("sensitivity", "variant", _variants(trials, parameters, variants))
+
+
+def _halved_and_doubled(declared: Declaration, value: float) -> Iterable[Value]:
+    low = -math.inf if declared.minimum is None else declared.minimum
+    high = math.inf if declared.maximum is None else declared.maximum
+    for changed in (value / 2, value * 2):
+        within = min(max(changed, low), high)
+        given = round(within) if declared.type is int else within
+        if given != value:
+            yield given
+
+
+def _variants(
+    trials: Sequence[Trial],
+    parameters: Parameters,
+    variants: Mapping[str, Mapping[str, Value]],
+) -> tuple[Row, ...]:
     rows = []
-    for name, changed in VARIANTS.items():
+    for name, changed in variants.items():
         method = Method(name, parameters.replace(changed))
-        variants = (replace(trial, contender=method, illustrated=False) for trial in trials)
-        rows.append(Row(name, tuple(variants), parameters=changed))
-    return Experiment("ablation", "variant", tuple(rows))
+        own = (replace(trial, contender=method, illustrated=False) for trial in trials)
+        rows.append(Row(name, tuple(own), parameters=changed))
+    return tuple(rows)
 
 
 def tilt_curve(
@@ -139,7 +178,7 @@ class ScoredRow:
 
     name: str
     strength: float | None
-    parameters: Mapping[str, Value]
+    parameters: Mapping[str, Value] | None
     bags: tuple[BagScores, ...]
 
     @property
@@ -185,7 +224,7 @@ class ScoredExperiment:
         content: dict[str, Any] = {self.experiment.rows_are: row.name}
         if row.strength is not None:
             content[self.experiment.strength_name] = row.strength
-        if self.experiment.key == "ablation":
+        if row.parameters is not None:
             content["parameters"] = dict(row.parameters)
         content["bags"] = [dataclasses.asdict(bag) for bag in row.bags]
         content["mean"] = row.mean

@@ -1,0 +1,54 @@
+"""What the method reaches on the bags of the repository, with default parameters, is held.
+
+After a change that makes it better, take the new floors, 0.02 below J and rounded down, from
+
+    turbseg_evaluate bags/*
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from turbseg_ros.cli.evaluate import main
+
+BAGS = Path(__file__).parents[1] / "bags"
+FLOORS = {
+    "normal": 0.86,
+    "severe": 0.71,
+    "shake": 0.73,
+    "thermal": 0.69,
+}
+"""Least J of each bag that holds an object."""
+
+pytestmark = pytest.mark.timeout(300)
+
+
+@pytest.fixture(scope="module")
+def scores(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, dict[str, Any]]:
+    """The scores of each bag by its name."""
+    file = tmp_path_factory.mktemp("floor") / "scores.json"
+    bags = sorted(path for path in BAGS.iterdir() if path.is_dir())
+    assert main([*map(str, bags), "--json", str(file)]) == 0
+    return {Path(each["bag"]).name: each for each in json.loads(file.read_text())["bags"]}
+
+
+def test_every_bag_of_the_repository_has_a_floor(scores: Mapping[str, dict[str, Any]]) -> None:
+    assert scores.keys() == {*FLOORS, "empty"}
+
+
+@pytest.mark.parametrize(("bag", "floor"), FLOORS.items())
+def test_j_is_not_below_its_floor(
+    bag: str, floor: float, scores: Mapping[str, dict[str, Any]]
+) -> None:
+    assert scores[bag]["j"] >= floor
+
+
+def test_nothing_is_found_where_nothing_moves(scores: Mapping[str, dict[str, Any]]) -> None:
+    assert scores["empty"]["j"] is None
+    assert scores["empty"]["scored_frames"] > 0
+    assert scores["empty"]["false_alarm_frames"] == 0
