@@ -154,10 +154,22 @@ _LARGE: tuple[Scene, ...] = (
         "fields",
         _WIDE_HAZE.with_tilt(0.5),
         (
-            SceneObject(1, "bird", 9, Path(((0, 120, 60), (40, 300, 95), (75, 420, 70))), _BLACK),
+            SceneObject(1, "bird", 8, Path(((0, 120, 60), (40, 300, 95), (75, 420, 70))), _BLACK),
             SceneObject(2, "drone", 12, Path(((0, 700, 150), (75, 560, 110))), _BLACK),
             SceneObject(3, "sedan", 14, _drive(760, 298, -1.8), _WHITE),
             SceneObject(4, "person", 12, _drive(300, 316, 0.5), _RED),
+        ),
+    ),
+    Scene(
+        "small",
+        "a sedan, a van and walkers of 18 to 24 pixels' height, far down a country road",
+        "fields",
+        _WIDE_HAZE,
+        (
+            SceneObject(1, "van", 48, _drive(640, 300, -1.9), _WHITE),
+            SceneObject(2, "sedan", 66, _drive(130, 314, 2.6), _RED),
+            SceneObject(3, "person", 21, _drive(330, 330, 1.1), _BLACK),
+            SceneObject(4, "person", 23, _drive(560, 334, -1.3), _BLUE),
         ),
     ),
     Scene(
@@ -171,6 +183,29 @@ _LARGE: tuple[Scene, ...] = (
             SceneObject(3, "person", 56, _drive(420, 368, -0.4), _RED),
         ),
         frames=90,
+    ),
+    Scene(
+        "strolling",
+        "people and a pickup that move by 0.6 to 0.9 pixels a frame",
+        "town",
+        _WIDE_HAZE,
+        (
+            SceneObject(1, "person", 42, _drive(620, 247, -0.6), _WHITE),
+            SceneObject(2, "pickup", 104, _drive(180, 284, 0.9), _BLUE),
+            SceneObject(3, "person", 60, _drive(520, 370, 0.75), _RED),
+        ),
+        frames=90,
+    ),
+    Scene(
+        "handheld",
+        "a camera in the hand: steps of 3 pixels rms a frame",
+        "town",
+        _WIDE_HAZE,
+        (
+            SceneObject(1, "van", 112, _drive(690, 284, -3.2), _SILVER),
+            SceneObject(2, "person", 58, _drive(260, 368, 1.3), _BLUE),
+        ),
+        CameraMotion(shake=3.0, roll=0.002),
     ),
     Scene(
         "pole",
