@@ -174,6 +174,24 @@ def test_davis_annotations_are_found(tmp_path):
         np.testing.assert_array_equal(labels, np.resize(np.arange(5), SHAPE))
 
 
+@pytest.mark.parametrize(
+    "trees", [("JPEGImages", "Annotations"), ("images", "masks"), ("Input", "GT")]
+)
+def test_masks_are_found_in_a_tree_beside_that_of_the_frames(tmp_path, trees):
+    frames = save(tmp_path / trees[0] / "Single_Car", grey_frames(2))
+    save(tmp_path / trees[1] / "Single_Car", [np.ones(SHAPE, np.uint8)] * 2)
+    save(tmp_path / trees[1] / "Blue_Car", [np.ones(SHAPE, np.uint8)] * 3)
+    assert main([str(frames), str(tmp_path / "bag")]) == 0
+    assert len(imported(tmp_path / "bag", TRUTH)[1]) == 2
+
+
+def test_a_sequence_without_masks_in_the_tree_comes_without(tmp_path):
+    frames = save(tmp_path / "images" / "Single_Car", grey_frames(2))
+    save(tmp_path / "masks" / "Blue_Car", [np.ones(SHAPE, np.uint8)] * 2)
+    assert main([str(frames), str(tmp_path / "bag")]) == 0
+    assert list(BagReader(tmp_path / "bag").topics) == [IMAGES]
+
+
 LABELS = hnp.arrays(np.uint8, SHAPE, elements=st.integers(0, 4))
 
 
@@ -264,7 +282,11 @@ def test_several_folders_of_masks_are_named(tmp_path, capsys):
     save(tmp_path / "car" / "masks", grey_frames(2))
     save(tmp_path / "car" / "gt", grey_frames(2))
     complaint = refusal(capsys, tmp_path / "car", tmp_path / "bag")
-    assert "choose with --masks: gt, masks" in complaint
+    assert f"choose with --masks: {tmp_path / 'car' / 'gt'}, " in complaint
+    frames = save(tmp_path / "images" / "bus", grey_frames(2))
+    save(tmp_path / "masks" / "bus", grey_frames(2))
+    save(tmp_path / "gt" / "bus", grey_frames(2))
+    assert "choose with --masks: " in refusal(capsys, frames, tmp_path / "bag")
 
 
 def test_an_existing_bag_is_kept(tmp_path, capsys):

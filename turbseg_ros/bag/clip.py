@@ -22,8 +22,10 @@ _IMAGE_FLAGS = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR | cv2.IMREAD_IGNORE_ORI
 # How data sets name the folders of a sequence.
 _FRAME_FOLDERS = ("frames", "images", "imgs", "img", "input", "rgb")
 _MASK_FOLDERS = ("masks", "mask", "annotations", "groundtruth", "ground_truth", "gt", "labels")
-# DAVIS keeps JPEGImages/480p/SEQUENCE and Annotations/480p/SEQUENCE.
-_DAVIS_FRAMES, _DAVIS_MASKS = "JPEGImages", "Annotations"
+# How they name the folder of all sequences' frames, where it has one for all masks beside it.
+_FRAME_TREES = (*_FRAME_FOLDERS, "jpegimages")
+# Folders between that and a sequence's own at most, as `480p` of DAVIS.
+_TREE_DEPTH = 2
 
 
 @dataclass(frozen=True)
@@ -120,7 +122,8 @@ def find_clip(source: Path, masks: Path | None = None) -> Clip:
 
     `source` is a video, a folder of images, or a sequence's folder with one folder of frames and
     at most one of masks. Masks are those in `masks`, or else those beside the frames in such a
-    folder, or those that DAVIS keeps for a sequence in its `JPEGImages`.
+    folder, or those that the data set keeps in a tree like that of its frames, as DAVIS does:
+    JPEGImages/480p/SEQUENCE and Annotations/480p/SEQUENCE.
 
     :raises ClipError: when that gives no frames, several choices, or masks that don't match.
     """
@@ -182,20 +185,23 @@ def _open_video(path: Path) -> VideoFile:
 def _sequence_folders(source: Path) -> tuple[Path, Path | None]:
     """Give the folders of frames and of masks that belong to `source`."""
     if _image_paths(source):
-        return source, _davis_masks(source)
+        return source, _only(_masks_in_parallel(source), source)
     frames = _folders_named(source, _FRAME_FOLDERS)
-    masks = _folders_named(source, _MASK_FOLDERS)
     if len(frames) != 1:
         raise ClipError(
             f"{source} holds no images and {len(frames) or 'no'} folders of frames "
             f"({', '.join(_FRAME_FOLDERS)}); name the one with the frames"
         )
+    return frames[0], _only(_folders_named(source, _MASK_FOLDERS), source)
+
+
+def _only(masks: list[Path], source: Path) -> Path | None:
     if len(masks) > 1:
         raise ClipError(
-            f"{source} holds several folders of masks; choose with --masks: "
-            f"{', '.join(folder.name for folder in masks)}"
+            f"{source} has several folders of masks; choose with --masks: "
+            f"{', '.join(map(str, masks))}"
         )
-    return frames[0], masks[0] if masks else None
+    return masks[0] if masks else None
 
 
 def _folders_named(source: Path, names: tuple[str, ...]) -> list[Path]:
@@ -206,11 +212,16 @@ def _folders_named(source: Path, names: tuple[str, ...]) -> list[Path]:
     ]
 
 
-def _davis_masks(frames: Path) -> Path | None:
+def _masks_in_parallel(frames: Path) -> list[Path]:
+    """Find the masks of a sequence in trees beside that of the frames."""
     sequence = frames.resolve()
-    resolution = sequence.parent
-    masks = resolution.parent.parent / _DAVIS_MASKS / resolution.name / sequence.name
-    return masks if resolution.parent.name == _DAVIS_FRAMES and masks.is_dir() else None
+    return [
+        masks / sequence.relative_to(tree)
+        for tree in list(sequence.parents)[:_TREE_DEPTH]
+        if tree.name.lower() in _FRAME_TREES
+        for masks in _folders_named(tree.parent, _MASK_FOLDERS)
+        if (masks / sequence.relative_to(tree)).is_dir()
+    ]
 
 
 def _image_folder(folder: Path) -> ImageFolder:

@@ -111,8 +111,9 @@ def _parser() -> argparse.ArgumentParser:
         "source",
         type=Path,
         metavar="SRC",
-        help="video, folder of frames, or folder of a sequence (frames and masks beside one "
-        "another, or DAVIS's JPEGImages/480p/NAME)",
+        help="video, folder of frames, or folder of a sequence with frames/ and masks/ in it; "
+        "masks are found too in a tree beside that of the frames, as DAVIS has it: "
+        "JPEGImages/480p/NAME and Annotations/480p/NAME",
     )
     parser.add_argument("out", type=Path, metavar="OUT", help="bag to be written")
     parser.add_argument("--masks", type=Path, metavar="DIR", help="folder with a mask a frame")
