@@ -1,11 +1,13 @@
 """What the node tells of itself."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 
+from turbseg_ros.parameters import DiagnosticsParameters
 from turbseg_ros.ros.diagnostics import Event, NodeState, Statistics, status_message
 from turbseg_ros.segmentation.frame import Frame, SegmentationResult
 
@@ -17,6 +19,8 @@ RESULT = SegmentationResult(
     0.734,
     "similarity",
 )
+OK = DiagnosticStatus.OK
+LIMITS = DiagnosticsParameters(min_rate=0.0, max_turbulence=100.0)
 
 
 class FakeClock:
@@ -44,10 +48,12 @@ def status(report, **changes):
         "publishers": 1,
         "reliability": "reliable",
         "patience": 1.0,
-        "min_rate": 0.0,
+        "limits": LIMITS,
+        "has_time": True,
         "latency_mode": "centred",
         "look_ahead": 6,
         "waiting": 2,
+        "device": "cpu",
         **changes,
     }
     return status_message("/turbseg", report, NodeState(**state))
@@ -81,6 +87,8 @@ def test_reports_rates_latencies_and_what_was_seen(statistics, clock):
     assert shown["objects"] == "0"
     assert shown["look-ahead (frames)"] == "6"
     assert shown["images waiting"] == "2"
+    assert shown["device"] == "cpu"
+    assert shown["latency mode"] == "centred"
 
 
 def test_periods_count_apart_and_totals_go_on(statistics, clock):
@@ -100,7 +108,6 @@ def test_periods_count_apart_and_totals_go_on(statistics, clock):
         (Event.DROPPED, DiagnosticStatus.WARN),
         (Event.LOST, DiagnosticStatus.WARN),
         (Event.SKIPPED, DiagnosticStatus.WARN),
-        (Event.FAILED, DiagnosticStatus.ERROR),
     ],
 )
 def test_level_follows_what_happened_in_the_period(statistics, clock, event, level):
@@ -111,6 +118,52 @@ def test_level_follows_what_happened_in_the_period(statistics, clock, event, lev
     assert message.message == f"3 images {event.value}"
     run_for_a_second(statistics, clock)
     assert status(statistics.take()).level == DiagnosticStatus.OK
+
+
+def test_one_failure_warns_and_a_second_is_an_error(statistics, clock):
+    run_for_a_second(statistics, clock)
+    statistics.failed(frames=7)
+    message = status(statistics.take())
+    assert (message.level, message.message) == (
+        DiagnosticStatus.WARN,
+        "segmenting failed once; the log tells why",
+    )
+    assert figures(message)["images failed"] == "7"
+    run_for_a_second(statistics, clock)
+    statistics.failed()
+    message = status(statistics.take())
+    assert (message.level, message.message) == (
+        DiagnosticStatus.ERROR,
+        "segmenting failed 2 times; the log tells why",
+    )
+    for _ in range(11):
+        run_for_a_second(statistics, clock)
+    assert status(statistics.take()).level == DiagnosticStatus.OK
+
+
+def test_warns_of_turbulence_in_which_objects_drown(statistics, clock):
+    run_for_a_second(statistics, clock)
+    report = statistics.take()  # 0.734 px on a picture of 4 pixels
+    limits = replace(LIMITS, max_turbulence=18.0)
+    message = status(report, limits=limits)
+    assert message.level == DiagnosticStatus.WARN
+    assert message.message == "turbulence of 0.7 px: objects may be missed"
+    assert status(report, limits=replace(limits, max_turbulence=19.0)).level == OK
+    unknown = replace(report, last=replace(RESULT, tilt=math.nan))
+    assert status(unknown, limits=limits).level == OK
+
+
+def test_warns_of_two_cameras_on_one_topic(statistics, clock):
+    run_for_a_second(statistics, clock)
+    message = status(statistics.take(), publishers=2)
+    assert message.message == "2 publishers on /image_raw: their images mix"
+
+
+def test_warns_while_there_is_no_clock(statistics, clock):
+    run_for_a_second(statistics, clock)
+    message = status(statistics.take(), has_time=False)
+    assert message.message == "use_sim_time is set, but nothing comes on /clock"
+    assert math.isnan(float(figures(message)["latency from stamp p95 (ms)"]))
 
 
 def test_silence_is_an_error(statistics, clock):
@@ -130,7 +183,10 @@ def test_warns_before_the_first_image(statistics):
 
 def test_warns_below_the_least_rate(statistics, clock):
     run_for_a_second(statistics, clock, frames=10)
-    assert status(statistics.take(), min_rate=15.0).message == "input below 15 Hz"
+    assert (
+        status(statistics.take(), limits=replace(LIMITS, min_rate=15.0)).message
+        == "input below 15 Hz"
+    )
 
 
 def test_a_disabled_node_is_well(statistics, clock):

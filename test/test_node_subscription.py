@@ -19,7 +19,6 @@ from turbseg_ros.ros.subscription import (
 @pytest.mark.parametrize(
     ("offered", "expected"),
     [
-        ([], ReliabilityPolicy.RELIABLE),
         ([RELIABLE], ReliabilityPolicy.RELIABLE),
         ([RELIABLE, RELIABLE], ReliabilityPolicy.RELIABLE),
         ([BEST_EFFORT], ReliabilityPolicy.BEST_EFFORT),
@@ -107,6 +106,10 @@ def test_changes_over_when_publishers_change(probe, subscribe):
     weak.publish(Int32(data=1))
     probe.wait_for(lambda: [message.data for message in received] == [1], "a message")
     probe.withdraw(weak)
+    probe.wait_for(lambda: subscription.publisher_count == 0, "the publisher to go")
+    subscription.match()
+    assert subscription.reliability == ReliabilityPolicy.BEST_EFFORT
+    probe.advertise(subscription.topic, Int32, RELIABLE, heard=False)
     wait_for_match(probe, subscription, ReliabilityPolicy.RELIABLE)
 
 

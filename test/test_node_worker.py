@@ -64,8 +64,8 @@ def result_of(frame):
 
 
 def frame_of(message):
-    if isinstance(message, str):
-        raise ImageConversionError(message)
+    if isinstance(message, ImageConversionError):
+        raise message
     return Frame(message, np.zeros((4, 6), np.uint8))
 
 
@@ -153,7 +153,8 @@ def test_keeps_the_newest_images_when_too_many_wait():
 
 
 def test_an_image_that_cannot_be_read_is_skipped(harness):
-    harness.submit(*stamps(3), "no such encoding", *stamps(3, 3 * PERIOD))
+    bad = ImageConversionError("no such encoding")
+    harness.submit(*stamps(3), bad, *stamps(3, 3 * PERIOD))
     harness.finish()
     assert harness.answered == stamps(6)
     assert harness.totals()[Event.SKIPPED] == 1
@@ -185,7 +186,31 @@ def test_a_failing_frame_is_answered_empty_and_the_next_go_on(harness):
     assert [result.frame.stamp for result in empty] == stamps(3, stamps(20)[8])
     assert empty[0].labels.shape == (4, 6)
     assert harness.totals()[Event.FAILED] == 3
-    assert any("RuntimeError: broken" in line for line in harness.logger.lines)
+    (line,) = [line for line in harness.logger.lines if "RuntimeError: broken" in line]
+    assert "the image of 0.330000000 s" in line
+    assert harness.segmenter.calls[11:13] == ["reset", 11 * PERIOD]
+
+
+def test_each_kind_of_bad_image_is_warned_about_once(harness):
+    class OtherError(ImageConversionError):
+        pass
+
+    bad = [ImageConversionError("cut short"), OtherError("no such encoding")] * 20
+    harness.submit(*bad, 0, *[0] * 20)
+    harness.finish()
+    said = [line for line in harness.logger.lines if "image skipped" in line]
+    assert len(said) == 3
+    for reason in ("cut short", "no such encoding", "it has the stamp of the frame before"):
+        assert any(reason in line for line in said)
+    assert harness.totals()[Event.SKIPPED] == 60
+
+
+def test_a_stream_that_begins_anew_again_and_again_is_not_said_each_time(harness):
+    for _ in range(16):
+        harness.submit(*stamps(6))
+    harness.finish()
+    assert len(harness.answered) == 96
+    assert len([line for line in harness.logger.lines if "time jumped back" in line]) == 1
 
 
 def test_outlives_a_publisher_that_fails(harness):

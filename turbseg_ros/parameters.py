@@ -302,6 +302,14 @@ class DiagnosticsParameters:
         minimum=0.0,
         maximum=1000.0,
     )
+    max_turbulence: float = parameter(
+        0.4,
+        "Measured turbulence (rms tilt an axis) above which the node warns that objects may be "
+        "missed, in per cent of the picture's width.",
+        unit="%",
+        minimum=0.0,
+        maximum=100.0,
+    )
 
 
 @dataclass(frozen=True)

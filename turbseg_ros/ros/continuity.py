@@ -29,12 +29,36 @@ class Action(enum.Enum):
     RESTART = enum.auto()
 
 
+class Continuity(enum.Enum):
+    """How a frame follows the one before it."""
+
+    CONTINUES = enum.auto()
+    REPEATED = enum.auto()
+    LATE = enum.auto()
+    WENT_BACK = enum.auto()
+    PAUSED = enum.auto()
+    CHANGED = enum.auto()
+
+    @property
+    def action(self) -> Action:
+        """What to do with such a frame."""
+        if self is Continuity.CONTINUES:
+            return Action.CONTINUE
+        skipped = self in (Continuity.REPEATED, Continuity.LATE)
+        return Action.SKIP if skipped else Action.RESTART
+
+
 @dataclass(frozen=True)
 class Verdict:
-    """What to do with a frame, and why."""
+    """How a frame follows the one before it, and what tells so."""
 
-    action: Action
+    continuity: Continuity
     reason: str = ""
+
+    @property
+    def action(self) -> Action:
+        """What to do with the frame."""
+        return self.continuity.action
 
 
 class StreamMonitor:
@@ -75,21 +99,21 @@ class StreamMonitor:
     def _compare(self, frame: Frame) -> Verdict:
         last = self._last
         if last is None:
-            return Verdict(Action.CONTINUE)
+            return Verdict(Continuity.CONTINUES)
         step = (frame.stamp - last.stamp) / _NANOSECONDS
         period = self._stamp_steps.median
         if step == 0.0:
-            return Verdict(Action.SKIP, "it has the stamp of the frame before")
+            return Verdict(Continuity.REPEATED, "it has the stamp of the frame before")
         if -max(_LATE_SECONDS, _LATE_PERIODS * period) <= step < 0.0:
-            return Verdict(Action.SKIP, f"it comes {-step:.3f} s late")
+            return Verdict(Continuity.LATE, f"it comes {-step:.3f} s late")
         if step < 0.0:
-            return Verdict(Action.RESTART, f"time jumped back by {-step:.3f} s")
+            return Verdict(Continuity.WENT_BACK, f"time jumped back by {-step:.3f} s")
         if step > max(_GAP_SECONDS, _GAP_PERIODS * period):
-            return Verdict(Action.RESTART, f"no frame for {step:.3f} s")
+            return Verdict(Continuity.PAUSED, f"no frame for {step:.3f} s")
         before, now = _format(last), _format(frame)
         if before != now:
-            return Verdict(Action.RESTART, f"the image changed from {before} to {now}")
-        return Verdict(Action.CONTINUE)
+            return Verdict(Continuity.CHANGED, f"the image changed from {before} to {now}")
+        return Verdict(Continuity.CONTINUES)
 
 
 class _Steps:

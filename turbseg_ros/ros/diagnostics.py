@@ -6,14 +6,18 @@ import enum
 import math
 import threading
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
+from turbseg_ros.parameters import DiagnosticsParameters
 from turbseg_ros.segmentation.frame import SegmentationResult
+
+# Failures this long ago, in seconds, tell that a new one is no single accident.
+_FAILURE_MEMORY = 10.0
 
 
 class Event(enum.Enum):
@@ -32,7 +36,8 @@ class Report:
     """What happened in a period; times in seconds.
 
     `events` counts the period, `totals` the whole run. The latencies are of the frames answered
-    in the period. `silence` is the time since the last image, or since the start while there was
+    in the period. `failures` is how often segmenting failed lately, however many frames each of
+    them cost. `silence` is the time since the last image, or since the start while there was
     none. `last` is the newest result, None while there is none.
     """
 
@@ -41,6 +46,7 @@ class Report:
     totals: Counter[Event]
     latency_from_stamp: Sequence[float]
     latency_from_arrival: Sequence[float]
+    failures: int
     silence: float
     last: SegmentationResult | None
 
@@ -58,6 +64,7 @@ class Statistics:
         self._totals: Counter[Event] = Counter()
         self._last: SegmentationResult | None = None
         self._last_image = clock()
+        self._failure_times: deque[float] = deque()
         self._begin_period()
 
     def count(self, event: Event, times: int = 1) -> None:
@@ -75,16 +82,25 @@ class Statistics:
             self._from_stamp.append(since_stamp)
             self._from_arrival.append(since_arrival)
 
+    def failed(self, frames: int = 1) -> None:
+        """Note that something failed and cost so many frames their results."""
+        with self._lock:
+            self._count(Event.FAILED, frames)
+            self._failure_times.append(self._clock())
+
     def take(self) -> Report:
         """Give what happened since the last time, and begin a new period."""
         with self._lock:
             now = self._clock()
+            while self._failure_times and now - self._failure_times[0] > _FAILURE_MEMORY:
+                self._failure_times.popleft()
             report = Report(
                 period=max(now - self._began, 1e-9),
                 events=self._events,
                 totals=Counter(self._totals),
                 latency_from_stamp=self._from_stamp,
                 latency_from_arrival=self._from_arrival,
+                failures=len(self._failure_times),
                 silence=now - self._last_image,
                 last=self._last,
             )
@@ -109,9 +125,10 @@ class NodeState:
     """How the node stands.
 
     `publishers` and `reliability` are those of its image topic. `patience` is the silence, in
-    seconds, after which the input counts as stale; `min_rate`, in Hz, is what it has to reach.
-    `look_ahead` is the number of frames that have to follow one before it is answered; `waiting`
-    images have not been looked at yet.
+    seconds, after which the input counts as stale. `limits` are what the user asks for.
+    `has_time` is False while the node waits for /clock. `look_ahead` is the number of frames that
+    have to follow one before it is answered; `waiting` images have not been looked at yet.
+    `device` is what it computes on.
     """
 
     topic: str
@@ -119,10 +136,12 @@ class NodeState:
     publishers: int
     reliability: str
     patience: float
-    min_rate: float
+    limits: DiagnosticsParameters
+    has_time: bool
     latency_mode: str
     look_ahead: int
     waiting: int
+    device: str
 
 
 def status_message(name: str, report: Report, state: NodeState) -> DiagnosticStatus:
@@ -148,16 +167,26 @@ def _findings(report: Report, state: NodeState) -> Iterator[tuple[bytes, str]]:
         return
     if report.silence > state.patience:
         yield error, f"no image on {state.topic} for {report.silence:.1f} s"
-    elif report.rate(Event.RECEIVED) < state.min_rate:
-        yield warn, f"input below {state.min_rate:g} Hz"
-    for event, level in (
-        (Event.FAILED, error),
-        (Event.DROPPED, warn),
-        (Event.LOST, warn),
-        (Event.SKIPPED, warn),
-    ):
+    elif report.rate(Event.RECEIVED) < state.limits.min_rate:
+        yield warn, f"input below {state.limits.min_rate:g} Hz"
+    if report.failures == 1:
+        yield warn, "segmenting failed once; the log tells why"
+    elif report.failures:
+        yield error, f"segmenting failed {report.failures} times; the log tells why"
+    for event in (Event.DROPPED, Event.LOST, Event.SKIPPED):
         if report.events[event]:
-            yield level, f"{report.events[event]} images {event.value}"
+            yield warn, f"{report.events[event]} images {event.value}"
+    if report.last and _relative_tilt(report.last) > state.limits.max_turbulence:
+        yield warn, f"turbulence of {report.last.tilt:.1f} px: objects may be missed"
+    if state.publishers > 1:
+        yield warn, f"{state.publishers} publishers on {state.topic}: their images mix"
+    if not state.has_time:
+        yield warn, "use_sim_time is set, but nothing comes on /clock"
+
+
+def _relative_tilt(result: SegmentationResult) -> float:
+    """Give the turbulence in per cent of the picture's width, NaN while unknown."""
+    return 100.0 * result.tilt / result.frame.image.shape[1]
 
 
 def _figures(report: Report, state: NodeState) -> Iterator[tuple[str, str]]:
@@ -167,12 +196,13 @@ def _figures(report: Report, state: NodeState) -> Iterator[tuple[str, str]]:
     yield "input rate (Hz)", f"{report.rate(Event.RECEIVED):.1f}"
     yield "output rate (Hz)", f"{report.rate(Event.ANSWERED):.1f}"
     for origin, latencies in (
-        ("stamp", report.latency_from_stamp),
+        ("stamp", report.latency_from_stamp if state.has_time else ()),
         ("arrival", report.latency_from_arrival),
     ):
         for percentile in (50, 95):
             value = np.percentile(latencies, percentile) if latencies else math.nan
             yield f"latency from {origin} p{percentile} (ms)", f"{1000 * value:.1f}"
+    yield "device", state.device
     yield "latency mode", state.latency_mode
     yield "look-ahead (frames)", str(state.look_ahead)
     yield "images waiting", str(state.waiting)

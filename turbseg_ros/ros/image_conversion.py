@@ -21,6 +21,18 @@ class ImageConversionError(ValueError):
     """Message and image that can't be made one another; the text is one line saying why."""
 
 
+class UnknownEncodingError(ImageConversionError):
+    """An encoding that is not in the table."""
+
+
+class ImageSizeError(ImageConversionError):
+    """A size that no image of the encoding has."""
+
+
+class ImageDataError(ImageConversionError):
+    """Data that do not hold what the message says."""
+
+
 @dataclass(frozen=True)
 class _Layout:
     """How an encoding stores a pixel, and OpenCV's conversion of that to grey or BGR, if any.
@@ -104,7 +116,7 @@ def image_from_message(message: Image | CompressedImage) -> npt.NDArray[Any]:
         return _decoded(message)
     layout = _LAYOUTS.get(message.encoding)
     if layout is None:
-        raise ImageConversionError(
+        raise UnknownEncodingError(
             f"image encoding {message.encoding!r} is not supported; it takes {', '.join(_LAYOUTS)}"
         )
     stored = _native(_pixels(message, layout))
@@ -171,12 +183,12 @@ def _pixels(message: Image, layout: _Layout) -> npt.NDArray[Any]:
     dtype = np.dtype(layout.dtype).newbyteorder(">" if message.is_bigendian else "<")
     row = width * layout.channels * dtype.itemsize
     if step < row:
-        raise ImageConversionError(
+        raise ImageDataError(
             f"image step {step} is too short: {width} pixels of {message.encoding} are {row} bytes"
         )
     needed = (height - 1) * step + row
     if len(message.data) < needed:
-        raise ImageConversionError(
+        raise ImageDataError(
             f"image data is too short: {width}x{height} {message.encoding} with step {step} "
             f"needs {needed} bytes, not {len(message.data)}"
         )
@@ -189,9 +201,9 @@ def _pixels(message: Image, layout: _Layout) -> npt.NDArray[Any]:
 def _check_size(message: Image, layout: _Layout) -> None:
     size = f"image of {message.width}x{message.height} pixels"
     if min(message.height, message.width) == 0:
-        raise ImageConversionError(f"{size} is empty")
+        raise ImageSizeError(f"{size} is empty")
     if min(message.height, message.width) < layout.minimum or message.width % layout.columns:
-        raise ImageConversionError(f"{size} can't be {message.encoding}")
+        raise ImageSizeError(f"{size} can't be {message.encoding}")
 
 
 def _native(pixels: npt.NDArray[Any]) -> npt.NDArray[Any]:
@@ -208,11 +220,11 @@ def _decoded(message: CompressedImage) -> npt.NDArray[Any]:
     try:
         image = cv2.imdecode(data, flags) if data.size else None
     except cv2.error as error:
-        raise ImageConversionError(f"{what} can't be decoded: {error.err}") from error
+        raise ImageDataError(f"{what} can't be decoded: {error.err}") from error
     if image is None:
-        raise ImageConversionError(f"{what} can't be decoded")
+        raise ImageDataError(f"{what} can't be decoded")
     if image.ndim == 3 and image.shape[2] == 4:  # 16-bit PNG keeps its alpha
         image = cv2.cvtColor(image, cv2.COLOR_BGRA2BGR)
     if image.dtype not in (np.uint8, np.uint16, np.float32):
-        raise ImageConversionError(f"{what} holds {image.dtype}, which is not supported")
+        raise UnknownEncodingError(f"{what} holds {image.dtype}, which is not supported")
     return image

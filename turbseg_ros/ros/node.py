@@ -24,6 +24,8 @@ from turbseg_ros.ros.worker import SegmentationWorker
 from turbseg_ros.segmentation.pipeline import MotionSegmenter
 
 _DIAGNOSTICS_PERIOD = 1.0
+# A camera that offers less than is asked for goes unheard until its offer is looked at.
+_MATCH_PERIOD = 0.2
 # Messages that may wait in the middleware. There nobody counts what a full queue drops, so a short
 # stall of this process must not fill it.
 _LEAST_DEPTH = 10
@@ -72,11 +74,10 @@ class TurbsegNode(Node):  # type: ignore[misc]  # rclpy is read as untyped
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(SetBool, "~/enable", self._on_enable)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self.create_timer(
-            _DIAGNOSTICS_PERIOD,
-            self._on_timer,
-            clock=Clock(clock_type=ClockType.STEADY_TIME),
-        )
+        # These go on when the time of /clock stands still.
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(_DIAGNOSTICS_PERIOD, self._publish_diagnostics, clock=steady)
+        self.create_timer(_MATCH_PERIOD, self._match_publishers, clock=steady)
         self._clock_jumps = self.get_clock().create_jump_callback(
             _CLOCK_JUMP, post_callback=self._on_clock_jump
         )
@@ -105,6 +106,9 @@ class TurbsegNode(Node):  # type: ignore[misc]  # rclpy is read as untyped
         )
 
     def _on_parameters(self, before: Parameters, after: Parameters) -> None:
+        changed = after.as_mapping().items() - before.as_mapping().items()
+        for name, value in sorted(changed):
+            self.get_logger().info(f"{name} is now {value}")
         # What only the node itself reads leaves the window as it is.
         if dataclasses.replace(after, diagnostics=before.diagnostics) != before:
             self._worker.reconfigure(after)
@@ -133,11 +137,15 @@ class TurbsegNode(Node):  # type: ignore[misc]  # rclpy is read as untyped
         return response
 
     def _on_clock_jump(self, jump: TimeJump) -> None:
-        self._worker.restart(f"the clock jumped by {jump.delta.nanoseconds / 1e9:.3f} s")
+        # Cameras need not follow /clock, and images from before the jump may still wait: their
+        # stamps tell when the stream really begins anew.
+        self.get_logger().info(f"/clock jumped by {jump.delta.nanoseconds / 1e9:.3f} s")
 
-    def _on_timer(self) -> None:
+    def _match_publishers(self) -> None:
         if self._images is not None:
             self._images.match()
+
+    def _publish_diagnostics(self) -> None:
         message = DiagnosticArray()
         message.header.stamp = self.get_clock().now().to_msg()
         message.status = [
@@ -153,10 +161,12 @@ class TurbsegNode(Node):  # type: ignore[misc]  # rclpy is read as untyped
             publishers=images.publisher_count if images else 0,
             reliability=images.reliability.name.lower() if images else "",
             patience=self._worker.patience,
-            min_rate=parameters.diagnostics.min_rate,
+            limits=parameters.diagnostics,
+            has_time=self.get_clock().now().nanoseconds > 0,
             latency_mode=parameters.latency.mode,
             look_ahead=self._segmenter.look_ahead,
             waiting=self._worker.waiting,
+            device=self._segmenter.device,
         )
 
 

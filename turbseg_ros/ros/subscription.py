@@ -20,7 +20,7 @@ _FORCED = {
 
 
 def strictest_reliability(offered: Iterable[QoSProfile]) -> ReliabilityPolicy:
-    """Give the strictest reliability that every publisher meets; reliable while there is none.
+    """Give the strictest reliability that every publisher meets.
 
     A best-effort subscription hears everybody, but loses most of the large images that span
     hundreds of datagrams. A reliable one loses nothing, but hears no best-effort publisher.
@@ -63,7 +63,8 @@ class MatchingSubscription:
         self._overridden = node.has_parameter(
             f"qos_overrides.{self.topic}.subscription.reliability"
         )
-        self._subscription = self._subscribe(self._wanted_reliability())
+        first = self._wanted_reliability(ReliabilityPolicy.RELIABLE)
+        self._subscription = self._subscribe(first)
 
     @property
     def reliability(self) -> ReliabilityPolicy:
@@ -77,7 +78,7 @@ class MatchingSubscription:
 
     def match(self) -> None:
         """Subscribe anew if the publishers offer another reliability than the one in force."""
-        wanted = self._wanted_reliability()
+        wanted = self._wanted_reliability(self.reliability)
         if wanted == self.reliability or self._overridden:
             return
         self._node.get_logger().info(
@@ -90,10 +91,13 @@ class MatchingSubscription:
         """Stop listening."""
         self._node.destroy_subscription(self._subscription)
 
-    def _wanted_reliability(self) -> ReliabilityPolicy:
+    def _wanted_reliability(self, current: ReliabilityPolicy) -> ReliabilityPolicy:
         if self._forced is not None:
             return self._forced
         publishers = self._node.get_publishers_info_by_topic(self.topic)
+        if not publishers:
+            # The next one will most likely be the last one, started anew.
+            return current
         return strictest_reliability(publisher.qos_profile for publisher in publishers)
 
     def _subscribe(self, reliability: ReliabilityPolicy) -> Subscription:

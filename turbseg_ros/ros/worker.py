@@ -7,7 +7,7 @@ import threading
 import time
 import traceback
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -17,11 +17,10 @@ from turbseg_ros.parameters import Parameters
 from turbseg_ros.ros.continuity import Action, StreamMonitor
 from turbseg_ros.ros.diagnostics import Event, Statistics
 from turbseg_ros.ros.image_conversion import ImageConversionError
+from turbseg_ros.ros.throttle import ThrottledLogger
 from turbseg_ros.segmentation.frame import Frame, SegmentationResult
 
 _SECOND = 1e9
-# What may happen on every frame is logged so often at most, in seconds.
-_THROTTLE = 5.0
 # Seconds that the last frames may take when the node stops; ros2 launch kills it after ten.
 _STOP_TIMEOUT = 8.0
 
@@ -127,6 +126,7 @@ class SegmentationWorker:
         self._now = now
         self._statistics = statistics
         self._logger = logger
+        self._throttled = ThrottledLogger(logger)
         self._inbox = Inbox(queue_size)
         self._monitor = StreamMonitor()
         # Frames that wait for their result, and when they arrived, by stamp, in order.
@@ -156,9 +156,8 @@ class SegmentationWorker:
         dropped = self._inbox.put(Arrival(message, time.monotonic_ns()))
         if dropped:
             self._statistics.count(Event.DROPPED, dropped)
-            self._logger.warning(
-                "images come faster than they are segmented: the oldest are dropped",
-                throttle_duration_sec=_THROTTLE,
+            self._throttled.warning(
+                Event.DROPPED, "images come faster than they are segmented: the oldest are dropped"
             )
 
     def restart(self, reason: str) -> None:
@@ -190,7 +189,7 @@ class SegmentationWorker:
                     entry()
             except Exception:
                 # Whatever it is, the next image may be sound.
-                self._log_error(traceback.format_exc())
+                self._log_error("worker", traceback.format_exc())
 
     def _time_to_pause(self) -> float | None:
         if not self._unanswered:
@@ -202,30 +201,34 @@ class SegmentationWorker:
         try:
             frame = self._convert(arrival.message)
         except ImageConversionError as error:
-            self._skip(str(error))
+            self._skip(type(error).__name__, str(error))
             return
         verdict = self._monitor.judge(frame, arrival.time)
         if verdict.action is Action.SKIP:
-            self._skip(verdict.reason)
+            self._skip(verdict.continuity, verdict.reason)
             return
         if verdict.action is Action.RESTART:
-            self._begin_stream(verdict.reason)
+            self._throttled.info(verdict.continuity, f"new window: {verdict.reason}")
+            self._begin_stream()
         self._unanswered[frame.stamp] = (frame, arrival.time)
         self._last_arrival = arrival.time
-        self._answer(functools.partial(self._segmenter.push, frame))
+        self._answer(
+            functools.partial(self._segmenter.push, frame),
+            f"the image of {_seconds(frame.stamp)} s",
+        )
 
-    def _skip(self, reason: str) -> None:
+    def _skip(self, kind: Hashable, reason: str) -> None:
         self._statistics.count(Event.SKIPPED)
-        self._logger.warning(f"image skipped: {reason}", throttle_duration_sec=_THROTTLE)
+        self._throttled.warning(kind, f"image skipped: {reason}")
 
-    def _begin_stream(self, reason: str) -> None:
-        self._logger.info(f"new window: {reason}")
+    def _begin_stream(self) -> None:
         self._flush()
         self._segmenter.reset()
 
     def _restart(self, reason: str) -> None:
+        self._logger.info(f"new window: {reason}")
         self._monitor.forget()
-        self._begin_stream(reason)
+        self._begin_stream()
 
     def _reconfigure(self, parameters: Parameters) -> None:
         self._flush()
@@ -236,23 +239,23 @@ class SegmentationWorker:
         self._flush()
 
     def _flush(self) -> None:
-        self._answer(self._segmenter.flush)
+        self._answer(self._segmenter.flush, "the last images before a pause")
         if self._unanswered:
-            self._recover("frames were left without a result")
+            self._recover("images were left without a result")
 
-    def _answer(self, segment: Callable[[], list[SegmentationResult]]) -> None:
+    def _answer(self, segment: Callable[[], list[SegmentationResult]], what: str) -> None:
         try:
             results = segment()
         except Exception:
-            self._recover(traceback.format_exc())
+            self._recover(f"segmenting {what} failed: {traceback.format_exc()}")
             return
         for result in results:
             self._publish_answer(result)
 
     def _recover(self, error: str) -> None:
         """Give empty results to all frames that are left, and begin a new window."""
-        self._log_error(f"segmentation failed: {error}")
-        self._statistics.count(Event.FAILED, len(self._unanswered))
+        self._log_error("segmentation", error)
+        self._statistics.failed(len(self._unanswered))
         self._monitor.forget()
         self._segmenter.reset()
         for frame, _ in list(self._unanswered.values()):
@@ -266,8 +269,11 @@ class SegmentationWorker:
         try:
             self._publish(result)
         except Exception:
-            self._statistics.count(Event.FAILED)
-            self._log_error(f"a result was not published: {traceback.format_exc()}")
+            self._statistics.failed()
+            self._log_error(
+                "publishing",
+                f"the result of {_seconds(stamp)} s was not published: {traceback.format_exc()}",
+            )
             return
         self._statistics.answered(
             result,
@@ -275,10 +281,15 @@ class SegmentationWorker:
             since_arrival=(time.monotonic_ns() - arrived) / _SECOND,
         )
 
-    def _log_error(self, text: str) -> None:
+    def _log_error(self, kind: str, text: str) -> None:
         # What fails because the node is gone already is no news.
         if not self._abandoned:
-            self._logger.error(text, throttle_duration_sec=_THROTTLE)
+            self._throttled.error(kind, text)
+
+
+def _seconds(stamp: int) -> str:
+    """Give a stamp in nanoseconds as ROS tools show it."""
+    return f"{stamp // 10**9}.{stamp % 10**9:09d}"
 
 
 def _empty_result(frame: Frame) -> SegmentationResult:

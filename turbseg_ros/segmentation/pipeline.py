@@ -124,6 +124,11 @@ class MotionSegmenter:
             return 0
         return p.flow.interval + self._identities.delay
 
+    @property
+    def device(self) -> str:
+        """Where the frames are computed."""
+        return "cpu"
+
     def push(self, frame: Frame) -> list[SegmentationResult]:
         """Take the next frame; give the results that are ready, of earlier frames mostly."""
         results = []
