@@ -240,6 +240,8 @@ def test_without_any_scores_nothing_is_written(
         (["--predictions", "x", "--sensitivity"], "--sensitivity segments anew"),
         (["--predictions", "x", "--tilt-curve", "1"], "--tilt-curve segments anew"),
         (["--predictions", "x", "--report", "r"], "--report segments anew"),
+        (["--predictions", "x", "--curves", "c"], "--curves segments anew"),
+        (["--curves", "c", "--ablation"], "--curves draws those of --tilt-curve"),
         (["bag"], "a BAG is named twice"),
     ],
 )

@@ -6,6 +6,7 @@ import html.parser
 import math
 import re
 import sys
+import xml.etree.ElementTree
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -58,6 +59,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(rivals, "MotionSegmenter", DarkAreas)
         report = ["--report", str(folder / "out"), "--workers", "1"]
+        report += ["--curves", str(folder / "curves")]
         assert main([*map(str, bags), *comparisons, *report]) == 0
     return folder / "out" / "index.html"
 
@@ -110,6 +112,20 @@ def test_the_page_shows_every_experiment_and_picture(page: Path) -> None:
     # Two curves, and J over the frames of each bag.
     assert text.count("<svg") == 4
     assert "max_objects" in text
+
+
+@pytest.mark.parametrize("name", ["tilt_curve", "shake_curve"])
+def test_a_curve_is_a_picture_that_needs_nothing_else(page: Path, name: str) -> None:
+    path = page.parent.parent / "curves" / f"{name}.svg"
+    picture = xml.etree.ElementTree.parse(path).getroot()
+    svg = "{http://www.w3.org/2000/svg}"
+    assert picture.tag == f"{svg}svg"
+    words = [text.text for text in picture.iter(f"{svg}text")]
+    segmenters = ["turbseg", "mog2", "mog2 stabilised", "knn", "knn stabilised"]
+    assert [word for word in words if word in segmenters] == segmenters
+    assert len(list(picture.iter(f"{svg}polyline"))) == len(segmenters)
+    text = path.read_text().replace("http://www.w3.org/2000/svg", "")
+    assert not re.search(r"://|url\(|@import|href", text)
 
 
 def test_names_are_text_and_nothing_else(page: Path) -> None:

@@ -47,6 +47,7 @@ from turbseg_ros.evaluation.trials import Source, Trial, TrialResult
 from turbseg_ros.parameters import Parameters
 
 _METHOD = "turbseg"
+_EXPERIMENTS = ("rivals", "ablation", "sensitivity", "tilt_curve", "shake_curve")
 # Stronger ones than this leave nothing to see.
 _STRONGEST = 20.0
 
@@ -69,7 +70,7 @@ def _check(options: argparse.Namespace) -> None:
     if options.predictions is not None:
         if len(options.bags) > 1:
             raise UsageError("--predictions are those of one BAG; give one")
-        for name in ("rivals", "ablation", "sensitivity", "tilt_curve", "shake_curve", "report"):
+        for name in (*_EXPERIMENTS, "report", "curves"):
             if getattr(options, name):
                 option = name.replace("_", "-")
                 raise UsageError(f"--{option} segments anew; leave out --predictions")
@@ -77,8 +78,10 @@ def _check(options: argparse.Namespace) -> None:
         raise UsageError("a BAG is named twice")
     if options.json is not None:
         options.json.parent.mkdir(parents=True, exist_ok=True)
-    if options.report is not None:
-        options.report.mkdir(parents=True, exist_ok=True)
+    if options.curves is not None and not (options.tilt_curve or options.shake_curve):
+        raise UsageError("--curves draws those of --tilt-curve and --shake-curve; give one")
+    for directory in filter(None, (options.report, options.curves)):
+        directory.mkdir(parents=True, exist_ok=True)
 
 
 def _score_recorded(options: argparse.Namespace) -> int:
@@ -99,7 +102,7 @@ def _evaluate(
     options: argparse.Namespace, parameters: Parameters, arguments: Sequence[str]
 ) -> int:
     """Segment and score the bags, and whatever is to be compared on those that can be scored."""
-    writer = None if options.report is None else ReportWriter()
+    writer = ReportWriter() if options.report or options.curves else None
     trials = _trials(options, parameters)
     planned = [
         trial for each in _experiments(options, parameters, trials) for trial in each.trials
@@ -114,15 +117,23 @@ def _evaluate(
     compared = [ScoredExperiment.of(each, evaluation.results) for each in experiments]
     for each in compared:
         print("", *text_table(each), sep="\n")
-    if scored and options.json is not None:
-        scores = [evaluation.results[trial].scores for trial in scored]
-        tables = {each.experiment.key: each.as_json() for each in compared}
-        write_json(options.json, scores, parameters.as_mapping(), tables)
-    if scored and writer is not None:
+    if scored:
         command = ["turbseg_evaluate", *map(shlex.quote, arguments)]
-        report = Report(command, parameters, scored, compared, evaluation.results)
-        print(f"\n{writer.write(options.report, report)}")
+        _write(options, Report(command, parameters, scored, compared, evaluation.results), writer)
     return 1 if evaluation.failed else 0
+
+
+def _write(options: argparse.Namespace, report: Report, writer: ReportWriter | None) -> None:
+    """Write the files that were asked for; `writer` is there when it is needed."""
+    if options.json is not None:
+        scores = [report.results[trial].scores for trial in report.trials]
+        tables = {each.experiment.key: each.as_json() for each in report.experiments}
+        write_json(options.json, scores, report.parameters.as_mapping(), tables)
+    if writer is not None and options.curves is not None:
+        for path in writer.write_curves(options.curves, report.experiments):
+            print(f"\n{path}")
+    if writer is not None and options.report is not None:
+        print(f"\n{writer.write(options.report, report)}")
 
 
 def _trials(options: argparse.Namespace, parameters: Parameters) -> list[Trial]:
@@ -269,6 +280,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--json", type=Path, metavar="F", help="also write the scores as JSON")
     parser.add_argument(
         "--report", type=Path, metavar="DIR", help="also write DIR/index.html, with pictures"
+    )
+    parser.add_argument(
+        "--curves", type=Path, metavar="DIR", help="also draw the curves, as DIR/*_curve.svg"
     )
     _add_comparisons(parser)
     _add_cluster(parser)

@@ -1,4 +1,4 @@
-"""An evaluation as one HTML page that needs nothing else: tables, curves, pictures.
+"""An evaluation as one HTML page that needs nothing else, and its curves as pictures.
 
 Jinja is imported only when a report is asked for.
 """
@@ -27,7 +27,6 @@ from turbseg_ros.parameters import Parameters, Value
 PAGE = "index.html"
 """The name of a report's file."""
 
-_TEMPLATE = "report.html.jinja"
 # Height of a chart that goes with pictures.
 _LOW = 200
 # Figures that say more of a bag than of what segmented it.
@@ -54,7 +53,7 @@ class Report:
 
 
 class ReportWriter:
-    """Makes the page of a report.
+    """Makes the page of a report, and pictures of its curves.
 
     :raises ReportError: when Jinja is not installed.
     """
@@ -65,13 +64,14 @@ class ReportWriter:
         except ImportError as error:
             raise ReportError("a report needs Jinja: pip install jinja2") from error
         environment = jinja2.Environment(
+            loader=jinja2.FunctionLoader(_template_source),
             autoescape=True,
             undefined=jinja2.StrictUndefined,
             trim_blocks=True,
             lstrip_blocks=True,
         )
-        text = importlib.resources.files(__package__).joinpath(_TEMPLATE).read_text("utf-8")
-        self._template = environment.from_string(text)
+        self._page = environment.get_template("report.html.jinja")
+        self._picture = environment.get_template("chart.svg.jinja")
 
     def write(self, directory: Path, report: Report) -> Path:
         """Write the page into a directory; give its path.
@@ -82,10 +82,24 @@ class ReportWriter:
         write_whole(path, self.page(report))
         return path
 
+    def write_curves(
+        self, directory: Path, experiments: Sequence[ScoredExperiment]
+    ) -> Sequence[Path]:
+        """Write each curve among the experiments as an SVG file into a directory.
+
+        :raises OSError: when one can't be written; an older one then stays as it was.
+        """
+        paths = []
+        for scored in experiments:
+            if scored.strengths:
+                paths.append(directory / f"{scored.experiment.key}.svg")
+                write_whole(paths[-1], self._picture.render(chart=_curves(scored)))
+        return paths
+
     def page(self, report: Report) -> str:
         """Give the page as HTML."""
         scores = [report.results[trial].scores for trial in report.trials]
-        return self._template.render(
+        return self._page.render(
             command=report.command,
             columns=COLUMNS,
             comparable=[column for column in COLUMNS if column.name not in _OF_THE_BAG],
@@ -135,6 +149,10 @@ class _BagView:
     illustrations: Illustrations | None
     chart: Chart | None
     compared: Sequence[tuple[str, Picture]]
+
+
+def _template_source(name: str) -> str:
+    return importlib.resources.files(__package__).joinpath(name).read_text("utf-8")
 
 
 def _summary(scores: Sequence[BagScores]) -> list[_Figure]:
