@@ -22,7 +22,12 @@ venv: .venv/complete
 demo: venv
 	$(BIN)/python -m turbseg_ros.cli demo --out out/demo
 
-test: lint
+# Torch is large, and only training and RAFT need it: venv and demo do without.
+.venv/learning: .venv/complete
+	$(BIN)/python -m pip install --quiet $(CONSTRAINTS) --no-build-isolation --editable '.[learning]'
+	touch $@
+
+test: lint .venv/learning
 	$(BIN)/python -m pytest
 
 # What a frame takes, in one run with rivals and a yardstick; figures in out/benchmark.json.

@@ -6,7 +6,7 @@ from setuptools import find_packages, setup
 
 PACKAGE = "turbseg_ros"
 
-EXECUTABLES = ("node", "play", "replay", "evaluate", "simulate", "import", "benchmark")
+EXECUTABLES = ("node", "play", "replay", "evaluate", "simulate", "train", "import", "benchmark")
 
 
 def _files(folder: str) -> list[str]:
@@ -24,7 +24,7 @@ setup(
     # Said aloud, so that an editable installation is a plain path, which type checkers follow too.
     package_dir={"": "."},
     packages=find_packages(include=[f"{PACKAGE}*"]),
-    package_data={PACKAGE: ["py.typed", "evaluation/*.jinja"]},
+    package_data={PACKAGE: ["py.typed", "evaluation/*.jinja", "learning/weights/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
@@ -43,6 +43,8 @@ setup(
             "ros-wheels-bootstrapper",
             "opencv-python-headless",
         ],
+        # RAFT, and training; the pretrained network runs by OpenCV.
+        "learning": ["torch", "torchvision", "safetensors", "onnx", "onnxscript"],
         "bags": ["mcap", "distributed", "jinja2"],
         "test": ["pytest", "pytest-timeout", "hypothesis", "rosbags"],
         "lint": ["ruff", "mypy", "types-PyYAML", "types-tqdm", "scipy-stubs"],

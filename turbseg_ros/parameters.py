@@ -137,6 +137,19 @@ class LatencyParameters:
 class FlowParameters:
     """Optical flow between a frame and its neighbours."""
 
+    backend: str = parameter(
+        "dis",
+        "dis: OpenCV's dense inverse search; raft_small, raft_large: a network, which needs "
+        "torch and torchvision.",
+        choices=("dis", "raft_small", "raft_large"),
+        read_only=True,
+    )
+    weights: str = parameter(
+        "",
+        "File with RAFT's weights, of torchvision or of RAFT's authors; empty: torchvision "
+        "fetches its own.",
+        read_only=True,
+    )
     interval: int = parameter(
         4,
         "Largest interval B between a frame and its neighbours, on both sides.",
@@ -328,6 +341,12 @@ class Parameters:
         unit="frames",
         minimum=1,
         maximum=1000,
+        read_only=True,
+    )
+    device: str = parameter(
+        "auto",
+        "Where RAFT runs; auto: on the GPU if there is one.",
+        choices=("auto", "cpu", "cuda"),
         read_only=True,
     )
     max_objects: int = parameter(

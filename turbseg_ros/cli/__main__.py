@@ -29,6 +29,7 @@ evaluate = _starter("evaluate")
 simulate = _starter("simulate")
 import_ = _starter("import_")
 benchmark = _starter("benchmark")
+train = _starter("train")
 demo = _starter("demo")
 
 _STARTERS = {
@@ -39,6 +40,7 @@ _STARTERS = {
     "simulate": simulate,
     "import": import_,
     "benchmark": benchmark,
+    "train": train,
     "demo": demo,
 }
 

@@ -13,10 +13,10 @@ from turbseg_ros.bag.writer import BagWriter
 from turbseg_ros.cli.errors import executable
 from turbseg_ros.cli.options import add_parameter_options, parameters_from, with_progress
 from turbseg_ros.evaluation.replay import BagFrames, segment
+from turbseg_ros.factory import motion_segmenter
 from turbseg_ros.overlay import OverlayStrip, write_png
 from turbseg_ros.ros.messages import CentroidMarkers, Output, outputs, slot_output
 from turbseg_ros.segmentation.frame import SegmentationResult
-from turbseg_ros.segmentation.pipeline import MotionSegmenter
 
 
 class ResultWriter:
@@ -58,7 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with BagWriter(options.out) as bag:
         results = ResultWriter(bag)
         for result in segment(
-            with_progress(frames, reader.path.name), MotionSegmenter(parameters)
+            with_progress(frames, reader.path.name), motion_segmenter(parameters)
         ):
             results.write(result)
             strip.add(result)

@@ -25,9 +25,9 @@ import numpy as np
 import numpy.typing as npt
 
 from turbseg_ros.evaluation.rivals import Contender
+from turbseg_ros.factory import motion_segmenter
 from turbseg_ros.parameters import Parameters
 from turbseg_ros.segmentation.frame import Frame
-from turbseg_ros.segmentation.pipeline import MotionSegmenter
 
 Picture = npt.NDArray[np.uint8]
 
@@ -201,7 +201,7 @@ def footprint(parameters: Parameters, frames: Iterable[Frame]) -> Footprint:
 
 
 def _segment_from(connection: Connection, parameters: Parameters) -> None:
-    segmenter = MotionSegmenter(parameters)
+    segmenter = motion_segmenter(parameters)
     while (frame := connection.recv()) is not None:
         connection.send(len(segmenter.push(frame)))
     connection.send(_most_resident())

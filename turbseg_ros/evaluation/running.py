@@ -20,6 +20,7 @@ import cv2
 from turbseg_ros.bag.errors import BagError
 from turbseg_ros.evaluation.evaluate import EvaluationError
 from turbseg_ros.evaluation.trials import Trial, TrialResult, Watch
+from turbseg_ros.parameters import ParameterError
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -125,7 +126,7 @@ def _run_as_worker(trial: Trial) -> Outcome:
 def _outcome(trial: Trial, watch: Watch) -> Outcome:
     try:
         return trial.run(watch)
-    except (BagError, EvaluationError) as error:
+    except (BagError, EvaluationError, ParameterError) as error:
         return Failure(str(error))
     except Exception as error:
         return _unforeseen(trial, error)

@@ -13,6 +13,7 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_srvs.srv import SetBool, Trigger
 
+from turbseg_ros.factory import motion_segmenter
 from turbseg_ros.parameters import ParameterError, Parameters
 from turbseg_ros.ros.diagnostics import Event, NodeState, Statistics, status_message
 from turbseg_ros.ros.image_conversion import frame_from_message
@@ -21,7 +22,6 @@ from turbseg_ros.ros.parameters import ParameterHandler
 from turbseg_ros.ros.publishers import ResultPublisher
 from turbseg_ros.ros.subscription import MatchingSubscription
 from turbseg_ros.ros.worker import SegmentationWorker
-from turbseg_ros.segmentation.pipeline import MotionSegmenter
 
 _DIAGNOSTICS_PERIOD = 1.0
 # A camera that offers less than is asked for goes unheard until its offer is looked at.
@@ -57,7 +57,7 @@ class TurbsegNode(Node):  # type: ignore[misc]  # rclpy is read as untyped
         self._results = ResultPublisher(
             self, (*outputs(parameters.max_objects, self._markers), *views())
         )
-        self._segmenter = MotionSegmenter(parameters)
+        self._segmenter = motion_segmenter(parameters)
         self._worker = SegmentationWorker(
             self._segmenter,
             convert=frame_from_message,

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -15,6 +16,17 @@ import numpy.typing as npt
 
 Flow = npt.NDArray[np.float32]
 GreyImage = npt.NDArray[np.uint8]
+
+
+class FlowBackend(Protocol):
+    """Computes the flows of a frame in another way than by `flows_to`."""
+
+    @property
+    def device(self) -> str:
+        """Where it computes: cpu or cuda."""
+
+    def flows_to(self, source: GreyImage, targets: Mapping[int, GreyImage]) -> dict[int, Flow]:
+        """Give the flow F(t→t+k) for every neighbour, {k: image of frame t+k aligned to t}."""
 
 
 def dis_flow(source: GreyImage, target: GreyImage, variational_iterations: int) -> Flow:

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from turbseg_ros.parameters import Parameters
 from turbseg_ros.segmentation import region_growing
 from turbseg_ros.segmentation.background import Box, View
-from turbseg_ros.segmentation.flow import flows_to
+from turbseg_ros.segmentation.flow import FlowBackend, flows_to
 from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResult
 from turbseg_ros.segmentation.motion import (
     MotionEstimate,
@@ -81,12 +81,19 @@ class MotionSegmenter:
     another size or kind than the one before starts a new window; ids go on.
     """
 
-    def __init__(self, parameters: Parameters, refiner: Refiner | None = None) -> None:
+    def __init__(
+        self,
+        parameters: Parameters,
+        refiner: Refiner | None = None,
+        flow: FlowBackend | None = None,
+    ) -> None:
         """Set up without frames; see `turbseg_ros.parameters` for what can be chosen.
 
         :param refiner: draws the outlines; without one, rules do.
+        :param flow: computes the optical flow; without one, OpenCV's DIS does.
         """
         self._refiner = refiner
+        self._flow = flow
         self._executor = ThreadPoolExecutor(_FLOW_THREADS, thread_name_prefix="flow")
         self._tone = ToneMap()
         self.reconfigure(parameters)
@@ -117,17 +124,17 @@ class MotionSegmenter:
         self._pending: deque[_Pending] = deque()
 
     @property
+    def device(self) -> str:
+        """Where optical flow is computed: cpu or cuda."""
+        return "cpu" if self._flow is None else self._flow.device
+
+    @property
     def look_ahead(self) -> int:
         """Frames that must follow a frame before its result is given."""
         p = self._parameters
         if p.latency.mode == "causal":
             return 0
         return p.flow.interval + self._identities.delay
-
-    @property
-    def device(self) -> str:
-        """Where the frames are computed."""
-        return "cpu"
 
     def push(self, frame: Frame) -> list[SegmentationResult]:
         """Take the next frame; give the results that are ready, of earlier frames mostly."""
@@ -220,7 +227,10 @@ class MotionSegmenter:
             for k, transform in transforms.items()
         }
         p = self._parameters
-        flows = flows_to(grey, aligned, p.flow.variational_iterations, self._executor)
+        if self._flow is None:
+            flows = flows_to(grey, aligned, p.flow.variational_iterations, self._executor)
+        else:
+            flows = self._flow.flows_to(grey, aligned)
         if p.motion.measure == "sampson":
             return sampson_motion(flows, weights, _interval_sets(p.flow.interval))
         measure = affine_motion if p.motion.measure == "affine" else unchecked_motion

@@ -1,0 +1,118 @@
+"""`turbseg_train`: scenes rendered, windows taken, Refine-Net trained and exported."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+
+from turbseg_ros.cli.arguments import positive_count
+from turbseg_ros.cli.errors import UsageError, executable
+from turbseg_ros.cli.options import with_progress
+from turbseg_ros.learning.examples import Examples, examples_from, rendered_clip
+from turbseg_ros.learning.torch_import import require_torch
+from turbseg_ros.parameters import Parameters
+
+# Every so many scenes, one is held out from training.
+_HELD_OUT = 10
+_REPORTS = 20
+
+
+@executable("turbseg_train")
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the executable; give its exit status."""
+    options = _parser().parse_args(arguments)
+    require_torch("turbseg_train")
+    if options.out.exists():
+        raise UsageError(f"{options.out} exists already; remove it or choose another output")
+    if options.scenes < 2:
+        raise UsageError("--scenes 1: give 2 or more, for some are held out")
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    cv2.setNumThreads(1)
+    trained_on, held_out = _examples(options.first_scene, options.scenes, options.frames)
+    with tempfile.TemporaryDirectory(dir=options.out.parent) as scratch:
+        written = Path(scratch) / "weights"
+        written.mkdir()
+        record = _train(options, trained_on, held_out, written)
+        (written / "training.json").write_text(json.dumps(record, indent=1) + "\n")
+        written.rename(options.out)
+    return 0
+
+
+def _examples(first: int, scenes: int, frames: int) -> tuple[Examples, Examples]:
+    """Render scenes and take their windows: those to train on, and those held out."""
+    parameters = Parameters()
+    kept: list[Examples] = []
+    held: list[Examples] = []
+    for seed in with_progress(range(first, first + scenes), "rendering", unit="scene"):
+        taken = examples_from(rendered_clip(seed, frames), parameters)
+        (held if (seed - first) % _HELD_OUT == 0 else kept).append(taken)
+    trained_on, held_out = Examples.joined(kept), Examples.joined(held)
+    if not (len(trained_on) and len(held_out)):
+        raise UsageError(f"nothing moved in {scenes} scenes; render more, or longer ones")
+    return trained_on, held_out
+
+
+def _train(
+    options: argparse.Namespace, examples: Examples, held_out: Examples, folder: Path
+) -> dict[str, Any]:
+    """Train, show how it goes, and write the network; give the record of it all."""
+    from turbseg_ros.learning.export import write_onnx, write_weights
+    from turbseg_ros.learning.training import held_out_scores, train
+
+    every = max(options.steps // _REPORTS, 1)
+    curve = []
+    reports = train(examples, options.seed, options.steps, report_every=every)
+    for number, (loss, net) in enumerate(reports, start=1):
+        scores = held_out_scores(net, held_out)
+        step = min(number * every, options.steps)
+        curve.append({"step": step, "loss": round(loss, 4), "held_out_j": round(scores.j, 4)})
+        print(
+            f"step {step:5}  loss {loss:.3f}  held-out J {scores.j:.3f}, by rules"
+            f" {scores.j_ruled:.3f}  alarms {scores.alarms:.2f}, by rules"
+            f" {scores.alarms_ruled:.2f}",
+            flush=True,
+        )
+    write_onnx(net, folder / "refine_net.onnx")
+    write_weights(net, folder / "refine_net.safetensors")
+    return {
+        "command": f"turbseg_train --first-scene {options.first_scene} --scenes {options.scenes}"
+        f" --frames {options.frames} --steps {options.steps} --seed {options.seed} -o OUT",
+        "windows": len(examples),
+        "held_out": dataclasses.asdict(scores),
+        "curve": curve,
+    }
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="turbseg_train",
+        description="Render scenes drawn at random, take the method's windows on them, train "
+        "Refine-Net on their truth, and write it as ONNX and safetensors with a record of the "
+        "training. One scene in ten is held out.",
+    )
+    parser.add_argument(
+        "-o", "--out", type=Path, required=True, metavar="DIR", help="folder to be written"
+    )
+    parser.add_argument(
+        "--scenes", type=positive_count, default=60, metavar="N", help="default: %(default)s"
+    )
+    parser.add_argument(
+        "--first-scene", type=int, default=100, metavar="N", help="seed (%(default)s)"
+    )
+    parser.add_argument(
+        "--frames", type=positive_count, default=30, metavar="N", help="a scene (%(default)s)"
+    )
+    parser.add_argument(
+        "--steps", type=positive_count, default=2500, metavar="N", help="default: %(default)s"
+    )
+    parser.add_argument(
+        "--seed", type=int, default=1, metavar="N", help="of the network (%(default)s)"
+    )
+    return parser

@@ -1,0 +1,54 @@
+"""Refine-Net as a module: a small U-Net (Ronneberger et al. 2015)."""
+
+from __future__ import annotations
+
+import itertools
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+
+class RefineNet(nn.Module):  # type: ignore[misc]  # torch is read as untyped
+    """Give logits of object against background for every pixel: Nx1xHxW for NxCxHxW.
+
+    H and W are divisible by 2 to the number of levels below the first.
+
+    :param channels: maps that go in.
+    :param widths: feature maps of each level, finest first.
+    """
+
+    def __init__(self, channels: int, widths: tuple[int, ...] = (8, 16, 32, 48)) -> None:
+        super().__init__()
+        self.first = _convolution(channels, widths[0])
+        self.down = nn.ModuleList(
+            nn.Sequential(
+                nn.MaxPool2d(2), _convolution(fine, coarse), _convolution(coarse, coarse)
+            )
+            for fine, coarse in itertools.pairwise(widths)
+        )
+        self.narrow = nn.ModuleList(
+            nn.Conv2d(coarse, fine, 1) for fine, coarse in itertools.pairwise(widths)
+        )
+        self.join = nn.ModuleList(_convolution(2 * fine, fine) for fine in widths[:-1])
+        self.judge = nn.Conv2d(widths[0], 1, 1)
+
+    def forward(self, maps: Tensor) -> Tensor:
+        """Judge every pixel."""
+        levels = [self.first(maps)]
+        for step in self.down:
+            levels.append(step(levels[-1]))
+        joined = levels.pop()
+        for narrow, join in zip(reversed(self.narrow), reversed(self.join), strict=True):
+            enlarged = functional.interpolate(narrow(joined), scale_factor=2.0, mode="nearest")
+            joined = join(torch.cat([levels.pop(), enlarged], dim=1))
+        judged: Tensor = self.judge(joined)
+        return judged
+
+
+def _convolution(inputs: int, outputs: int) -> nn.Sequential:
+    return nn.Sequential(
+        nn.Conv2d(inputs, outputs, 3, padding=1, bias=False),
+        nn.BatchNorm2d(outputs),
+        nn.ReLU(inplace=True),
+    )

@@ -1,0 +1,179 @@
+"""Training of Refine-Net on examples whose truth is known."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from turbseg_ros.learning.examples import Examples
+from turbseg_ros.learning.refine_net import RefineNet
+from turbseg_ros.learning.window_input import CHANNELS
+
+_PEAK_RATE = 3e-3
+_WEIGHT_DECAY = 1e-3
+# Pixels that both halves of a Dice coefficient are smoothed by: an empty window counts little.
+_SMOOTHING = 40.0
+
+_MOVING, _CORE = CHANNELS.index("moving"), CHANNELS.index("core")
+_GREY, _CHANGE = CHANNELS.index("grey"), CHANNELS.index("change")
+_BACKGROUND = [CHANNELS.index(name) for name in ("change", "deviation", "difference", "known")]
+_DEVIATION = CHANNELS.index("deviation")
+_MOTION = [CHANNELS.index(name) for name in ("motion", "share")]
+_SIZE = [CHANNELS.index(name) for name in ("width", "height")]
+
+
+def loss_of(logits: Tensor, truth: Tensor) -> Tensor:
+    """Give cross-entropy plus one minus the Dice coefficient, averaged over windows.
+
+    :param logits: Nx1xHxW.
+    :param truth: Nx1xHxW, from 0 to 1.
+    """
+    entropy = functional.binary_cross_entropy_with_logits(logits, truth)
+    probability = torch.sigmoid(logits)
+    common = (probability * truth).sum(dim=(1, 2, 3))
+    total = (probability + truth).sum(dim=(1, 2, 3))
+    dice = (2.0 * common + _SMOOTHING) / (total + _SMOOTHING)
+    return entropy + (1.0 - dice).mean()
+
+
+def augmented(inputs: Tensor, truth: Tensor, random: torch.Generator) -> tuple[Tensor, Tensor]:
+    """Vary what a camera, the air or the flow might have varied.
+
+    Windows are mirrored, shifted, stretched and turned a little; the picture gets another
+    contrast and noise; the background gets less certain, or unknown in a part; the motion's smear
+    is wider or narrower.
+    """
+    count = len(inputs)
+
+    def uniform(low: float, high: float) -> Tensor:
+        return low + (high - low) * torch.rand(count, generator=random)
+
+    def chosen(odds: float) -> Tensor:
+        return (torch.rand(count, generator=random) < odds).float()
+
+    mirror = 1.0 - 2.0 * chosen(0.5)
+    turn, shear = uniform(-0.12, 0.12), uniform(-0.15, 0.15)
+    scale_x, scale_y = uniform(0.75, 1.15), uniform(0.75, 1.15)
+    to_source = torch.stack(
+        [
+            torch.stack([mirror * scale_x, shear + turn, uniform(-0.2, 0.2)], dim=1),
+            torch.stack([-turn * mirror, scale_y, uniform(-0.2, 0.2)], dim=1),
+        ],
+        dim=1,
+    )
+    grid = functional.affine_grid(to_source, [count, 1, *inputs.shape[2:]], align_corners=False)
+    both = functional.grid_sample(
+        torch.cat([inputs, truth], dim=1), grid, padding_mode="border", align_corners=False
+    )
+    inputs, truth = both[:, :-1].contiguous(), both[:, -1:]
+
+    def column(values: Tensor) -> Tensor:
+        return values[:, None, None, None]
+
+    stretch = torch.log2(torch.stack([scale_x, scale_y], dim=1)) / 3.0
+    inputs[:, _SIZE] += stretch[..., None, None]
+    inputs[:, [_GREY, _CHANGE]] *= column(uniform(0.6, 1.3))
+    noise = torch.randn(inputs[:, :1].shape, generator=random)
+    inputs[:, [_GREY]] += noise * column(uniform(0.0, 0.06))
+    inputs[:, [_DEVIATION]] = inputs[:, [_DEVIATION]] ** column(uniform(0.7, 1.5))
+    inputs[:, _MOTION] *= column(uniform(0.75, 1.2))
+    unknown = _blobs(count, inputs.shape[2:], random) * column(chosen(0.3))
+    inputs[:, _BACKGROUND] *= 1.0 - unknown
+    for channel in (_MOVING, _CORE):
+        radius = int(torch.randint(-3, 4, (1,), generator=random))
+        inputs[:, [channel]] = _widened(inputs[:, [channel]], radius)
+    return inputs, truth
+
+
+def _blobs(count: int, shape: torch.Size, random: torch.Generator) -> Tensor:
+    """Draw masks, Nx1xHxW, of a few large blobs."""
+    coarse = torch.rand((count, 1, 5, 5), generator=random)
+    smooth = functional.interpolate(coarse, size=shape, mode="bicubic", align_corners=False)
+    return (smooth > 0.55).float()
+
+
+def _widened(mask: Tensor, radius: int) -> Tensor:
+    size = 2 * abs(radius) + 1
+    if radius < 0:
+        return -functional.max_pool2d(-mask, size, stride=1, padding=-radius)
+    return functional.max_pool2d(mask, size, stride=1, padding=radius)
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """How windows are told that were not trained on.
+
+    `j` is the mean intersection over union, by the network and by the rules, where there is an
+    object; `alarms` the share of the windows without one in which something is found.
+    """
+
+    windows: int
+    j: float
+    j_ruled: float
+    alarms: float
+    alarms_ruled: float
+
+
+def held_out_scores(net: RefineNet, examples: Examples) -> HeldOut:
+    """Score a network, and the rules, on examples that it was not trained on."""
+    truth = examples.truth > 0.5
+    found, ruled = probabilities(net, examples) > 0.5, examples.ruled > 0.5
+    with_object = truth.any(axis=(1, 2))
+
+    def jaccard(masks: npt.NDArray[np.bool_]) -> float:
+        union = (masks | truth)[with_object].sum(axis=(1, 2))
+        return _mean((masks & truth)[with_object].sum(axis=(1, 2)) / union)
+
+    def alarms(masks: npt.NDArray[np.bool_]) -> float:
+        return _mean(masks[~with_object].max(axis=(1, 2), initial=False))
+
+    return HeldOut(len(examples), jaccard(found), jaccard(ruled), alarms(found), alarms(ruled))
+
+
+def probabilities(net: RefineNet, examples: Examples) -> npt.NDArray[np.float32]:
+    """Judge every pixel of examples, NxSIDExSIDE."""
+    net.eval()
+    with torch.inference_mode():
+        batches = torch.from_numpy(examples.inputs).split(32)
+        judged = [torch.sigmoid(net(batch.float()))[:, 0].numpy() for batch in batches]
+    return np.concatenate(judged)
+
+
+def _mean(values: npt.NDArray[Any]) -> float:
+    return float(values.mean()) if values.size else float("nan")
+
+
+def train(
+    examples: Examples, seed: int, steps: int, batch: int = 16, report_every: int = 50
+) -> Iterator[tuple[float, RefineNet]]:
+    """Train a network from nothing; every so many steps give the mean loss and how it stands.
+
+    The same seed on the same machine gives the same network.
+    """
+    torch.manual_seed(seed)
+    random = torch.Generator().manual_seed(seed)
+    net = RefineNet(len(CHANNELS))
+    optimiser = torch.optim.AdamW(net.parameters(), lr=_PEAK_RATE, weight_decay=_WEIGHT_DECAY)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, _PEAK_RATE, total_steps=steps)
+    inputs, truth = torch.from_numpy(examples.inputs), torch.from_numpy(examples.truth)
+    losses = []
+    for step in range(1, steps + 1):
+        net.train()
+        picked = torch.randint(len(examples), (batch,), generator=random)
+        maps, right = augmented(inputs[picked].float(), truth[picked, None].float(), random)
+        loss = loss_of(net(maps), right)
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+        schedule.step()
+        losses.append(loss.item())
+        if step % report_every == 0 or step == steps:
+            yield float(np.mean(losses)), net
+            losses.clear()

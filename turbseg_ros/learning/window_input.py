@@ -1,0 +1,85 @@
+"""What the refining network sees: an object window as physical quantities, of one size.
+
+Grey values are relative to the window's own, deviations in standard deviations of the background,
+motion in units of its noise, so that nothing depends on the camera.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from turbseg_ros.segmentation.background import deviation_from, difference_from
+from turbseg_ros.segmentation.silhouette import ObjectWindow
+
+Map = npt.NDArray[np.float32]
+
+SIDE = 96
+"""Rows and columns that every window is brought to."""
+CHANNELS = (
+    "grey",
+    "change",
+    "deviation",
+    "difference",
+    "known",
+    "motion",
+    "share",
+    "moving",
+    "core",
+    "width",
+    "height",
+)
+"""What the network's input holds, in order."""
+
+# Grey values that a plain window is taken to vary by.
+_LEAST_CONTRAST = 6.0
+# Where deviation and motion, in units of their noise, come to half of their range.
+_HALF_DEVIATION = 3.0
+_HALF_MOTION = 5.0
+# What is usual on an object is what this percentage of its pixels doesn't exceed.
+_USUAL = 85
+
+
+def window_input(window: ObjectWindow) -> Map:
+    """Give the network's input, float32 CHANNELSxSIDExSIDE, each about -1 to 1."""
+    background, area = window.background, window.area
+    known = background.known
+    grey = window.image.astype(np.float32).mean(axis=2)
+    middle, contrast = float(grey.mean()), max(float(grey.std()), _LEAST_CONTRAST)
+    change = np.where(known, grey - background.median.mean(axis=2), 0.0)
+    deviation = np.where(known, deviation_from(background, window.image, window.tilt), 0.0)
+    difference = np.where(known, difference_from(background, window.image), 0.0)
+    height, width = grey.shape
+    maps = (
+        np.clip((grey - middle) / (2.0 * contrast), -1.5, 1.5),
+        np.clip(change / (2.0 * contrast), -1.5, 1.5),
+        deviation / (deviation + _HALF_DEVIATION),
+        np.minimum(difference / _usual(difference, area.mask & known, 1.0), 1.5),
+        known,
+        window.motion / (window.motion + _HALF_MOTION),
+        np.minimum(window.motion / _usual(window.motion, area.mask, 0.1), 1.5),
+        area.mask,
+        area.core,
+        np.full_like(grey, np.log2(width / SIDE) / 3.0),
+        np.full_like(grey, np.log2(height / SIDE) / 3.0),
+    )
+    return np.stack([resized(np.asarray(values, np.float32), (SIDE, SIDE)) for values in maps])
+
+
+def at_window_size(probability: Map, window: ObjectWindow) -> Map:
+    """Bring a network's output, SIDExSIDE, to the window's size, hxw."""
+    return resized(probability, window.box.shape)
+
+
+def _usual(values: Map, where: npt.NDArray[np.bool_], least: float) -> float:
+    inside = values[where]
+    return max(float(np.percentile(inside, _USUAL)), least) if inside.size else least
+
+
+def resized(values: Map, shape: tuple[int, int]) -> Map:
+    """Bring a map to another number of rows and columns."""
+    shrinks = values.shape[0] * values.shape[1] > shape[0] * shape[1]
+    interpolation = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
+    resized: Map = cv2.resize(values, shape[::-1], interpolation=interpolation)
+    return resized
