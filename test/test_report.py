@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import html.parser
 import math
 import re
@@ -126,6 +127,12 @@ def test_a_curve_is_a_picture_that_needs_nothing_else(page: Path, name: str) -> 
     assert len(list(picture.iter(f"{svg}polyline"))) == len(segmenters)
     text = path.read_text().replace("http://www.w3.org/2000/svg", "")
     assert not re.search(r"://|url\(|@import|href", text)
+
+
+def test_tables_name_bags_without_the_folders_that_they_share(page: Path) -> None:
+    names = re.findall(r'<a href="#bag\d+" title="([^"]*)">([^<]*)</a>', page.read_text())
+    assert [short for _, short in names] == ["one", html.escape(AWKWARD)]
+    assert all(full.endswith(f"/{short}") for full, short in names)
 
 
 def test_names_are_text_and_nothing_else(page: Path) -> None:
