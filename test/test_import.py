@@ -138,7 +138,7 @@ def test_masks_are_paired_by_order_at_the_frames_stamps(tmp_path):
     assert stamps == imported(tmp_path / "bag")[0]
     assert encodings == {"mono8"}
     for label, mask in zip(labels, masks, strict=True):
-        np.testing.assert_array_equal(label, mask // 255)
+        np.testing.assert_array_equal(label, mask)
 
 
 def test_a_video_takes_masks_too(tmp_path):
@@ -201,13 +201,22 @@ def test_small_numbers_and_palette_colours_are_labels(labels):
         np.testing.assert_array_equal(mask_meaning([mask]).labels(mask), labels)
 
 
-@given(hnp.arrays(np.bool_, SHAPE), st.integers(1, 255))
+@given(hnp.arrays(np.bool_, SHAPE), st.integers(1, 254))
 def test_a_single_value_is_one_object(drawn, value):
     grey = drawn.astype(np.uint8) * np.uint8(value)
     for mask in (grey, grey.astype(np.uint16) * 257, np.dstack([grey] * 3)):
         np.testing.assert_array_equal(mask_meaning([mask]).labels(mask), drawn)
     red = grey[:, :, None] * np.array([0, 0, 1], np.uint8)
     np.testing.assert_array_equal(mask_meaning([red]).labels(red), drawn)
+
+
+@given(hnp.arrays(np.bool_, SHAPE))
+def test_white_is_foreground_in_which_objects_are_not_told_apart(drawn):
+    grey = drawn.astype(np.uint8) * np.uint8(255)
+    for mask in (grey, grey.astype(np.uint16) * 257, np.dstack([grey] * 3)):
+        labels = mask_meaning([mask]).labels(mask)
+        assert labels.dtype == np.uint8
+        np.testing.assert_array_equal(labels, grey)
 
 
 def test_the_meaning_is_that_of_all_masks_together():

@@ -16,6 +16,8 @@ Labels = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
 # More values than this are no labels but a picture.
 _MOST_VALUES = 256
 _WHITE = (255, 65535)
+# The label of white, in masks that only tell foreground from background.
+_FOREGROUND = 255
 # Set in the value of a colour, to tell it from a grey level.
 _COLOUR = 1 << 24
 
@@ -46,8 +48,9 @@ class MaskMeaning:
 def mask_meaning(masks: Iterable[npt.NDArray[Any]]) -> MaskMeaning:
     """Find what a clip's masks mean.
 
-    A single value beside 0 is one object, whatever it is (1, 255, a colour); several grey levels
-    are labels; several colours are those of DAVIS-2017, whose palette gives the label.
+    A single value beside 0 is one object, label 1, whatever it is; but white alone is 255, the
+    foreground, in which objects are not told apart. Several grey levels are labels; several
+    colours are those of DAVIS-2017, whose palette gives the label.
 
     :raises ClipError: when the values can't be told to be either.
     """
@@ -60,7 +63,8 @@ def mask_meaning(masks: Iterable[npt.NDArray[Any]]) -> MaskMeaning:
 
 def _objects(values: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
     if values.size <= 2:
-        return np.arange(values.size, dtype=np.int32)
+        white = values[-1] in (*_WHITE, _COLOUR | 0xFFFFFF)
+        return values.astype(bool) * np.int32(_FOREGROUND if white else 1)
     if values.size > _MOST_VALUES:
         raise ClipError(f"the masks hold {values.size} values: they are no labels but a picture")
     if values.max() < _COLOUR:

@@ -104,8 +104,8 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="turbseg_import",
         description="Make a bag of a video file or a folder of frames, with masks as truth.",
-        epilog="Masks hold 0 for background and, for objects, one value (255, 1), labels 1, 2... "
-        "or the colours of DAVIS-2017. Frames and masks pair by order.",
+        epilog="Masks hold 0 for background and 255 for all objects together, or labels 1, 2... "
+        "or the colours of DAVIS-2017 to tell them apart. Frames and masks pair by order.",
     )
     parser.add_argument(
         "source",

@@ -202,7 +202,9 @@ COLUMNS = (
     Column("G", "g", ".3f", "mean of J and Dice"),
     Column("bound F", "boundary_f", ".3f", "F measure of the outlines, as in the DAVIS benchmark"),
     Column("alarms", "false_alarm_frames", ".4g", "frames in which something was found in vain"),
-    Column("alarm %", "false_alarm_area", ".3%", "share of the image found where nothing moves"),
+    Column(
+        "alarm area", "false_alarm_area", ".3%", "share of the image found where nothing moves"
+    ),
     Column("id sw", "id_switches", ".4g", "times that a true object changed its id"),
     Column("fps", "fps", ".1f", "frames a second of segmentation; runs share the cores"),
     Column("ms p50", "ms_p50", ".1f", "median time that a frame took, milliseconds"),
