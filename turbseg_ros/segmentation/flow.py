@@ -6,7 +6,7 @@ A flow is float32, HxWx2, in pixels: where (x, y) of one frame has moved to in t
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from typing import Protocol
 
@@ -15,7 +15,18 @@ import numpy as np
 import numpy.typing as npt
 
 Flow = npt.NDArray[np.float32]
+Map = npt.NDArray[np.float32]
 GreyImage = npt.NDArray[np.uint8]
+Shares = npt.NDArray[np.float32]
+
+Rule = Callable[[Shares, Shares], Shares]
+"""Tells how much each flow has of a pixel's velocity, 0 all over where too few see the pixel.
+
+It takes K intervals as Kx1 and, KxN, which of them see each of N pixels (1, else 0); it gives KxN.
+"""
+
+# Below this sum of squared distances between intervals, which are whole numbers, there is one.
+_LEAST_SPREAD = 0.25
 
 
 class FlowBackend(Protocol):
@@ -71,7 +82,7 @@ def mean_flow(flows: Mapping[int, Flow], intervals: Sequence[int]) -> Flow:
     return total
 
 
-def slope_flow(flows: Mapping[int, Flow], weights: Mapping[int, npt.NDArray[np.float32]]) -> Flow:
+def slope_flow(flows: Mapping[int, Flow], weights: Mapping[int, Map]) -> Flow:
     """Fit the velocity of every pixel to its flows: weighted least squares, in pixels a frame.
 
     The model is F(t→t+i) = i·v + c, where the intercept c takes up the tilt of frame t. With
@@ -81,13 +92,50 @@ def slope_flow(flows: Mapping[int, Flow], weights: Mapping[int, npt.NDArray[np.f
     :param flows: {i: F(t→t+i)}, all HxWx2.
     :param weights: {i: HxW}, 0 where the pixel isn't seen in frame t+i, else 1.
     """
-    s0, s1, s2 = (sum(weight * i**power for i, weight in weights.items()) for power in range(3))
-    f0, f1 = (
-        sum(flow * (weights[i] * np.float32(i**power))[..., None] for i, flow in flows.items())
-        for power in range(2)
+    return combined(flows, weights, slope_shares)[0]
+
+
+def combined(
+    flows: Mapping[int, Flow], weights: Mapping[int, Map], rule: Rule
+) -> tuple[Flow, Map]:
+    """Make one velocity of a pixel's flows: Σ s(i)·F(t→t+i), the shares s by a rule.
+
+    :return: velocity, HxWx2, and its standard error for flows of unit variance, HxW: the root of
+        Σ s², inf where all shares are 0.
+    """
+    intervals = np.array(list(flows), np.float32)[:, None]
+    shares = rule(intervals, np.ones_like(intervals))
+    velocity = np.zeros_like(next(iter(flows.values())))
+    for flow, share in zip(flows.values(), shares[:, 0], strict=True):
+        cv2.scaleAdd(flow, float(share), velocity, dst=velocity)
+    error = np.full(velocity.shape[:2], _error(shares)[0], np.float32)
+    # Along the borders some neighbours are missing.
+    rest = np.nonzero(np.minimum.reduce(list(weights.values())) == 0)
+    shares = rule(intervals, np.stack([weights[i][rest] for i in flows]))
+    velocity[rest] = sum(
+        flow[rest] * share[:, None] for flow, share in zip(flows.values(), shares, strict=True)
     )
-    determinant = s0 * s2 - s1 * s1
-    solvable = determinant > 0.5
-    scale = np.where(solvable, 1.0 / np.where(solvable, determinant, 1.0), 0.0)
-    slope: Flow = (s0[..., None] * f1 - s1[..., None] * f0) * scale[..., None]
-    return slope
+    error[rest] = _error(shares)
+    return velocity, error
+
+
+def slope_shares(intervals: Shares, seen: Shares) -> Shares:
+    """Give the shares that fit a line through the flows: a `Rule`."""
+    count = np.maximum(seen.sum(axis=0), 1.0)
+    distance = (intervals - (intervals * seen).sum(axis=0) / count) * seen
+    spread = (distance**2).sum(axis=0)
+    shares: Shares = distance / np.where(spread > _LEAST_SPREAD, spread, np.inf)
+    return shares
+
+
+def mean_shares(intervals: Shares, seen: Shares) -> Shares:
+    """Give the shares of the paper's eq. 1, over what a pixel has: a `Rule`."""
+    count = seen.sum(axis=0)
+    shares: Shares = seen / (intervals * np.where(count > 1, count, np.inf))
+    return shares
+
+
+def _error(shares: Shares) -> Map:
+    squares = (shares**2).sum(axis=0)
+    error: Map = np.where(squares > 0.0, np.sqrt(squares), np.float32(np.inf))
+    return error

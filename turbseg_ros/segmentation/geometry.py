@@ -5,6 +5,8 @@ Models map pixels of one frame to the next; residuals are in pixels.
 
 from __future__ import annotations
 
+import functools
+
 import cv2
 import numpy as np
 import numpy.typing as npt
@@ -21,11 +23,14 @@ _TUKEY = 4.685
 _MAD_TO_SIGMA = 1.4826
 
 
+@functools.lru_cache(maxsize=8)
 def pixel_grid(shape: tuple[int, int], step: int = 1) -> npt.NDArray[np.float32]:
-    """Give the coordinates (x, y) of every `step`-th pixel, hxwx2."""
+    """Give the coordinates (x, y) of every `step`-th pixel, hxwx2, not to be written to."""
     start = step // 2
     y, x = np.mgrid[start : shape[0] : step, start : shape[1] : step]
-    return np.stack([x, y], axis=-1).astype(np.float32)
+    grid = np.stack([x, y], axis=-1).astype(np.float32)
+    grid.flags.writeable = False
+    return grid
 
 
 def fit_affine_flow(flow: Flow, weights: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:
@@ -49,22 +54,19 @@ def fit_affine_flow(flow: Flow, weights: npt.NDArray[np.float32]) -> npt.NDArray
     coefficients = np.zeros((3, 2))
     coefficients[0] = np.median(samples, axis=0)
     for _ in range(_REWEIGHTINGS):
-        residual = np.linalg.norm(samples - basis @ coefficients, axis=1)
+        residual = samples - basis @ coefficients
+        squared = residual[:, 0] ** 2 + residual[:, 1] ** 2
         # For two independent normal axes the median distance is 1.177 standard deviations.
-        sigma = max(float(np.median(residual)) / 1.177, 1e-3)
-        trust = np.clip(1.0 - (residual / (_TUKEY * sigma)) ** 2, 0.0, None) ** 2
+        variance = max(float(np.median(squared)) / 1.177**2, 1e-6)
+        trust = np.maximum(1.0 - squared / (_TUKEY**2 * variance), 0.0) ** 2
         weighted = basis * trust[:, None]
-        coefficients = np.linalg.lstsq(weighted.T @ basis, weighted.T @ samples, rcond=None)[0]
-    return coefficients
+        _, coefficients = cv2.solve(weighted.T @ basis, weighted.T @ samples, flags=cv2.DECOMP_SVD)
+    return np.asarray(coefficients)
 
 
 def affine_flow(coefficients: npt.NDArray[np.float64], shape: tuple[int, int]) -> Flow:
     """Give the flow, HxWx2, that `coefficients` of :func:`fit_affine_flow` describe."""
-    height, width = shape
-    x = np.arange(width, dtype=np.float32)[None, :, None]
-    y = np.arange(height, dtype=np.float32)[:, None, None]
-    offset, by_x, by_y = coefficients.astype(np.float32)
-    flow: Flow = offset + x * by_x + y * by_y
+    flow: Flow = cv2.transform(pixel_grid(shape), np.roll(coefficients, -1, axis=0).T)
     return flow
 
 

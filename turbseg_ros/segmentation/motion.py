@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -26,6 +28,8 @@ _TILT_CORRELATION = (1.0, 0.6, 0.35, 0.25, 0.2, 0.17, 0.15, 0.12, 0.1)
 _RAYLEIGH_MEDIAN = 1.1774
 # Flow can't be trusted to be steadier than this from frame to frame, in pixels a frame.
 _LEAST_NOISE = 0.015
+# Medians over a map are taken from about so many pixels.
+_SAMPLES = 10000
 
 
 @dataclass(frozen=True)
@@ -48,22 +52,12 @@ class MotionEstimate:
 
 def slope_velocity(flows: Mapping[int, Flow], weights: Mapping[int, Map]) -> tuple[Flow, Map]:
     """Fit a line through the flows, see `flow.slope_flow`; an `Average`."""
-    return optical_flow.slope_flow(flows, weights), _slope_uncertainty(weights)
+    return optical_flow.combined(flows, weights, optical_flow.slope_shares)
 
 
 def mean_velocity(flows: Mapping[int, Flow], weights: Mapping[int, Map]) -> tuple[Flow, Map]:
     """Average the flows a frame, the paper's eq. 1 over what a pixel has; an `Average`."""
-    s0, squares = (
-        np.sum([weight / np.float32(i**power) for i, weight in weights.items()], axis=0)
-        for power in (0, 2)
-    )
-    share = np.float32(1.0) / np.maximum(s0, np.float32(1.0))
-    total = np.zeros_like(next(iter(flows.values())))
-    for i, flow in flows.items():
-        total += flow * (weights[i] / np.float32(i))[..., None]
-    velocity: Flow = total * share[..., None]
-    error: Map = np.where(s0 > 1, share * np.sqrt(squares), np.float32(np.inf))
-    return velocity, error
+    return optical_flow.combined(flows, weights, optical_flow.mean_shares)
 
 
 def affine_motion(
@@ -94,13 +88,14 @@ def _estimate(
 ) -> MotionEstimate:
     visible = np.isfinite(uncertainty)
     velocity[~visible] = 0.0
-    motion_map: Map = np.hypot(velocity[..., 0], velocity[..., 1])
-    unit = _robust_deviation(motion_map[visible] / uncertainty[visible])
-    noise = np.maximum(unit * np.where(visible, uncertainty, 1.0), _LEAST_NOISE)
+    motion_map: Map = cv2.magnitude(*cv2.split(velocity))
+    unit = _robust_deviation((_sample(motion_map) / _sample(uncertainty))[_sample(visible)])
+    uncertainty = np.where(visible, uncertainty, np.float32(1.0))
+    noise = np.maximum(np.float32(unit) * uncertainty, np.float32(_LEAST_NOISE))
     return MotionEstimate(
         velocity=velocity,
         motion_map=motion_map,
-        noise=noise.astype(np.float32),
+        noise=noise,
         tilt=measured_tilt(residuals, visible),
         visible=visible,
         ego_motion_model=ego_motion_model,
@@ -135,7 +130,7 @@ def sampson_motion(
     )
     motion_map[~visible] = 0.0
     residuals = _residuals(flows, weights)
-    noise = max(_robust_deviation(motion_map[visible]), _LEAST_NOISE)
+    noise = max(_robust_deviation(_sample(motion_map)[_sample(visible)]), _LEAST_NOISE)
     return MotionEstimate(
         velocity=optical_flow.slope_flow(residuals, weights),
         motion_map=motion_map,
@@ -154,11 +149,11 @@ def measured_tilt(residuals: Mapping[int, Flow], visible: npt.NDArray[np.bool_])
     The median over the picture leaves objects out. NaN without a symmetric pair.
     """
     paired = [k for k in residuals if k > 0 and -k in residuals]
-    if not paired or not visible.any():
+    if not paired or not _sample(visible).any():
         return float("nan")
     k = max(paired)
-    even = (residuals[k] + residuals[-k])[visible] / 2.0
-    deviation = _robust_deviation(np.linalg.norm(even, axis=1))
+    even = (_sample(residuals[k]) + _sample(residuals[-k]))[_sample(visible)] / 2.0
+    deviation = _robust_deviation(np.hypot(even[:, 0], even[:, 1]))
     gain = 1.0 + (1.0 + _tilt_correlation(2 * k)) / 2.0 - 2.0 * _tilt_correlation(k)
     return float(deviation / np.sqrt(gain))
 
@@ -173,19 +168,15 @@ def _residuals(flows: Mapping[int, Flow], weights: Mapping[int, Map]) -> dict[in
 
 def _less_ego_motion(flow: Flow, weights: Map) -> Flow:
     coefficients = geometry.fit_affine_flow(flow, weights)
-    residual: Flow = flow - geometry.affine_flow(coefficients, (flow.shape[0], flow.shape[1]))
+    ego_motion = geometry.affine_flow(coefficients, (flow.shape[0], flow.shape[1]))
+    residual: Flow = cv2.subtract(flow, ego_motion)
     return residual
 
 
-def _slope_uncertainty(weights: Mapping[int, Map]) -> Map:
-    """Give the standard error of a fitted slope for flows of unit variance, inf without one."""
-    s0, s1, s2 = (sum(weight * i**power for i, weight in weights.items()) for power in range(3))
-    determinant = s0 * s2 - s1 * s1
-    solvable = determinant > 0.5
-    error: Map = np.where(
-        solvable, np.sqrt(s0 / np.where(solvable, determinant, 1.0)), np.inf
-    ).astype(np.float32)
-    return error
+def _sample(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Give every n-th row and column of a map, enough of them for its median."""
+    step = max(1, int(np.sqrt(values.shape[0] * values.shape[1] / _SAMPLES)))
+    return values[::step, ::step]
 
 
 def _robust_deviation(lengths: npt.NDArray[np.float32]) -> float:
