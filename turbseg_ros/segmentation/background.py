@@ -7,6 +7,7 @@ So it follows any camera that the alignment follows, and costs in proportion to 
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -21,8 +22,8 @@ Matrix = npt.NDArray[np.float64]
 
 # A pixel's background is known once so many frames have shown it.
 _FEWEST_SAMPLES = 3
-# Above every 8-bit grey value, so that pixels without a sample sort last.
-_MASKED = 256
+# Pixels without a sample sort last.
+_BRIGHTEST = 255
 # Interquartile range of a normal variable, in standard deviations.
 _IQR_TO_SIGMA = 1.0 / 1.349
 # Grey values closer than this are the same, whatever the camera.
@@ -109,21 +110,53 @@ class Background:
 def background_in(box: Box, views: Sequence[View]) -> Background:
     """Estimate the background within a box of the reference frame from other views of it."""
     pictures, hidden = zip(*(_sampled(view, box) for view in views), strict=True)
-    obscured = np.stack(hidden)
-    samples = np.where(obscured[..., None], np.uint16(_MASKED), np.stack(pictures))
-    samples.sort(axis=0)
-    count = np.count_nonzero(~obscured, axis=0)
-    last = np.maximum(count - 1, 0)[..., None]
+    count = np.zeros(box.shape, np.intp)
+    for picture, obscured in zip(pictures, hidden, strict=True):
+        picture[obscured] = _BRIGHTEST
+        count += ~obscured
+    samples = np.stack(_ordered(pictures))
+    rows, columns = np.indices(box.shape, sparse=True)
+    last = np.maximum(count - 1, 0)
 
     def quantile(quarters: int) -> Map:
-        index = np.broadcast_to((last * quarters + 2) // 4, samples.shape[1:])
-        return np.take_along_axis(samples, index[None], axis=0)[0].astype(np.float32)
+        chosen = samples[(last * quarters + 2) // 4, rows, columns]
+        return np.asarray(chosen, np.float32)
 
     return Background(
         median=quantile(2),
         spread=(quantile(3) - quantile(1)) * np.float32(_IQR_TO_SIGMA),
         known=count >= _FEWEST_SAMPLES,
     )
+
+
+def _ordered(pictures: Sequence[Image]) -> list[Image]:
+    """Sort the values of each pixel over pictures of one size, the least first.
+
+    A sorting network works on whole pictures; NumPy would sort pixel by pixel, which takes long.
+    """
+    ordered = list(pictures)
+    for low, high in _sorting_network(len(ordered)):
+        a, b = ordered[low], ordered[high]
+        ordered[low], ordered[high] = np.minimum(a, b), np.maximum(a, b)
+    return ordered
+
+
+@functools.lru_cache(maxsize=64)
+def _sorting_network(count: int) -> tuple[tuple[int, int], ...]:
+    """Give which of `count` values to compare and exchange in turn: Batcher's odd-even merge sort.
+
+    Knuth, The Art of Computer Programming 3, algorithm 5.2.2M.
+    """
+    pairs = []
+    widest = 1 << max(count - 1, 0).bit_length()
+    p = widest >> 1
+    while p > 0:
+        q, r, d = widest >> 1, 0, p
+        while d > 0:
+            pairs += [(i, i + d) for i in range(count - d) if i & p == r]
+            d, q, r = q - p, q >> 1, p
+        p >>= 1
+    return tuple(pairs)
 
 
 def difference_from(background: Background, image: Image) -> Map:
@@ -176,7 +209,7 @@ def _sampled(view: View, box: Box) -> tuple[Image, Mask]:
         borderMode=cv2.BORDER_REPLICATE,
     ).reshape(height, width, -1)
     hidden = cv2.warpAffine(
-        view.objects.astype(np.uint8),
+        view.objects.view(np.uint8),
         transform,
         (width, height),
         flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP,
