@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import math
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import numpy.typing as npt
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -61,6 +65,13 @@ class NodeProcess:
         (blocked,) = [line for line in status.splitlines() if line.startswith("SigBlk:")]
         return bool(int(blocked.split()[1], 16) >> (number - 1) & 1)
 
+    @property
+    def resident_megabytes(self) -> float:
+        """Memory that it holds."""
+        status = Path(f"/proc/{self.process.pid}/status").read_text()
+        (line,) = [line for line in status.splitlines() if line.startswith("VmRSS:")]
+        return int(line.split()[1]) / 1024
+
     def wait(self) -> int:
         """Give the exit status."""
         return self.process.wait(TIMEOUT)
@@ -79,6 +90,16 @@ class NodeProcess:
         if self.process.poll() is None:
             self.process.kill()
             self.process.wait(TIMEOUT)
+
+
+class Tally:
+    """Counts messages, unread."""
+
+    count = 0
+
+    def add(self, _message: bytes) -> None:
+        """Count one."""
+        self.count += 1
 
 
 class Probe:
@@ -139,6 +160,15 @@ class Probe:
         self.wait_for(lambda: self.node.count_publishers(topic), f"a publisher of {topic}")
         return messages
 
+    def count(self, topic: str, message_type: type[Any]) -> Tally:
+        """Give the number of a topic's messages, which are not read."""
+        tally = Tally()
+        self._subscriptions.append(
+            self.node.create_subscription(message_type, topic, tally.add, RELIABLE, raw=True)
+        )
+        self.wait_for(lambda: self.node.count_publishers(topic), f"a publisher of {topic}")
+        return tally
+
     def advertise(
         self,
         topic: str,
@@ -169,7 +199,7 @@ class Probe:
 
 
 class Camera:
-    """Publishes images, as fast as they go or `pause` seconds apart, stamped 30 Hz.
+    """Publishes images, as fast as they go or at a `rate` in Hz, stamped 30 Hz.
 
     Each camera's stamps begin far after those of the one before it.
     """
@@ -182,11 +212,13 @@ class Camera:
         topic: str = "/image_raw",
         message_type: type[Any] = Image,
         qos: QoSProfile = RELIABLE,
-        pause: float = 0.0,
+        rate: float = math.inf,
+        heard: bool = True,
     ) -> None:
         self._probe = probe
-        self._pause = pause
-        self._publisher = probe.advertise(topic, message_type, qos)
+        self._publisher = probe.advertise(topic, message_type, qos, heard)
+        self._step = 1.0 / rate
+        self._due = time.monotonic()
         self.stamp = max(time.time_ns(), Camera._last_stamp + 10 * SECOND)
 
     def send(self, message: Any) -> int:
@@ -195,8 +227,10 @@ class Camera:
         Camera._last_stamp = max(Camera._last_stamp, self.stamp)
         message.header.stamp = ns_to_stamp(self.stamp)
         message.header.frame_id = "camera"
+        self._probe.spin(self._due - time.monotonic())
+        # A hold-up is not made up for by a burst.
+        self._due = max(self._due + self._step, time.monotonic() - 5 * self._step)
         self._publisher.publish(message)
-        self._probe.spin(self._pause)
         return self.stamp
 
     def play(self, images: Iterable[npt.NDArray[Any]], encoding: str = "mono8") -> list[int]:
@@ -211,6 +245,17 @@ class Camera:
 def stamps_of(messages: Iterable[Any]) -> list[int]:
     """Give the messages' stamps in nanoseconds."""
     return [stamp_to_ns(message.header.stamp) for message in messages]
+
+
+def figures(diagnostics: Sequence[DiagnosticArray]) -> dict[str, str]:
+    """Give what the newest diagnostics show."""
+    newest = diagnostics[-1].status[0].values if diagnostics else ()
+    return defaultdict(str, {value.key: value.value for value in newest})
+
+
+def quick_and_soak(quick: int, soak: int) -> list[Any]:
+    """Give a test's length in `make test` and, where minutes do not matter, in `make soak`."""
+    return [quick, pytest.param(soak, marks=pytest.mark.soak)]
 
 
 def moving_square(

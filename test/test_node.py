@@ -1,7 +1,6 @@
 """The node as a process of its own, over DDS on localhost."""
 
 import signal
-from collections import defaultdict
 from collections.abc import Iterator
 
 import cv2
@@ -14,6 +13,7 @@ from node_harness import (
     Camera,
     NodeProcess,
     Probe,
+    figures,
     moving_square,
     stamps_of,
 )
@@ -185,12 +185,6 @@ def test_stamps_that_repeat_are_skipped_and_those_that_jump_back_begin_anew(
     assert "new window: time jumped back by " in node.output
 
 
-def figures(diagnostics):
-    """Give what the newest diagnostics show."""
-    newest = diagnostics[-1].status[0].values if diagnostics else ()
-    return defaultdict(str, {value.key: value.value for value in newest})
-
-
 def test_subscribes_as_the_cameras_offer(camera, labels, probe):
     diagnostics = probe.listen("/diagnostics", DiagnosticArray)
     best_effort = Camera(probe, qos=BEST_EFFORT)
@@ -324,7 +318,7 @@ def test_signals_under_load_end_it_well(tmp_path, probe, signals):
     # At full size and with little room, so that it is busy and drops images when it is stopped.
     with NodeProcess(tmp_path / "output", "-r", "__ns:=/loaded", "-p", "queue_size:=2") as process:
         labels = probe.listen("/loaded/turbseg/labels", Image)
-        camera = Camera(probe, "/loaded/image_raw", pause=0.01)
+        camera = Camera(probe, "/loaded/image_raw", rate=60.0)
         stamps = camera.play(moving_square(60, (480, 640)))
         probe.wait_for(lambda: "the oldest are dropped" in process.output, "images to be dropped")
         assert process.stop(*signals) == 0
