@@ -10,8 +10,8 @@ from drawn_scene import ByteImage, texture
 from turbseg_ros.segmentation.geometry import pixel_grid
 from turbseg_ros.segmentation.stabilization import (
     align,
+    phase_correlation,
     register_affine,
-    register_translation,
     visible,
 )
 
@@ -48,7 +48,7 @@ def largest_error(found: np.ndarray, true: np.ndarray) -> float:
 
 @pytest.mark.parametrize("step", [(0, 0), (5, -3), (2.5, 1.25), (-14, 9)], ids=str)
 def test_phase_correlation_finds_a_translation(step: tuple[float, float]) -> None:
-    found = register_translation(GROUND, warped(GROUND, shift(*step)))
+    found, _ = phase_correlation(GROUND, warped(GROUND, shift(*step)))
     assert found[:2, :2].tolist() == [[1, 0], [0, 1]]
     # It only has to put the search for corners on the right track.
     np.testing.assert_allclose(found[:2, 2], step, atol=0.25)
@@ -90,12 +90,28 @@ def test_a_big_moving_object_takes_no_part_in_the_ego_motion() -> None:
     assert largest_error(register_affine(source, target), motion) < 0.2
 
 
-def test_noise_alone_is_no_camera_motion() -> None:
+@pytest.mark.parametrize(
+    "other",
+    [
+        np.random.default_rng(0).integers(0, 256, SHAPE).astype(np.uint8),
+        texture(SHAPE, seed=6, low=0, high=255, grain=2.0),
+        np.random.default_rng(0).poisson(3.0, SHAPE).astype(np.uint8),
+        np.full(SHAPE, 128, np.uint8),
+        np.zeros(SHAPE, np.uint8),
+    ],
+    ids=["noise", "another scene", "covered lens", "plain", "black"],
+)
+def test_pictures_with_nothing_in_common_have_no_motion(other: ByteImage) -> None:
+    for source, target in ((GROUND, other), (other, GROUND)):
+        assert register_affine(source, target) is None
+
+
+@pytest.mark.parametrize("shape", [(16, 16), (36, 64), (90, 160), (243, 432)], ids=str)
+def test_noise_has_nothing_in_common_with_noise(shape: tuple[int, int]) -> None:
     random = np.random.default_rng(0)
-    source, target = random.integers(0, 256, (2, *SHAPE)).astype(np.uint8)
-    found = register_affine(source, target)
-    assert np.isfinite(found).all()
-    assert np.abs(found[:2, :2] - np.eye(2)).max() <= 0.1
+    for _ in range(20):
+        source, target = random.integers(0, 256, (2, *shape)).astype(np.uint8)
+        assert register_affine(source, target) is None
 
 
 def test_with_too_few_corners_the_translation_stands() -> None:
@@ -103,20 +119,14 @@ def test_with_too_few_corners_the_translation_stands() -> None:
     window[50:100, 90:150] = 200
     target = warped(window, shift(4.0, -2.0))
     found = register_affine(window, target)
-    np.testing.assert_array_equal(found, register_translation(window, target))
+    np.testing.assert_array_equal(found, phase_correlation(window, target)[0])
     np.testing.assert_allclose(found[:2, 2], (4.0, -2.0), atol=0.5)
 
 
-@pytest.mark.parametrize("grey", [1, 128, 255])
-def test_a_plain_picture_has_not_moved(grey: int) -> None:
+@pytest.mark.parametrize("grey", [0, 1, 128, 255])
+def test_a_plain_picture_lies_anywhere(grey: int) -> None:
     plain = np.full(SHAPE, grey, np.uint8)
-    np.testing.assert_allclose(register_affine(plain, plain), np.eye(3), atol=1e-3)
-
-
-@pytest.mark.parametrize("after", [np.zeros(SHAPE, np.uint8), GROUND], ids=["black", "scene"])
-def test_a_black_picture_has_not_moved(after: ByteImage) -> None:
-    black = np.zeros(SHAPE, np.uint8)
-    np.testing.assert_allclose(register_affine(black, after), np.eye(3), atol=1e-3)
+    assert register_affine(plain, plain) is None
 
 
 def test_aligning_undoes_the_motion_where_the_other_frame_sees_it() -> None:

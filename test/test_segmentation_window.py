@@ -13,12 +13,15 @@ from hypothesis import strategies as st
 from turbseg_ros.segmentation.window import FrameWindow, PreparedFrame, Resolution, prepare
 
 
-def tiny_frame(index: int, from_previous: np.ndarray | None = None) -> PreparedFrame:
+def tiny_frame(
+    index: int, from_previous: np.ndarray | None = None, continues: bool = True
+) -> PreparedFrame:
     return PreparedFrame(
         index=index,
         grey=np.zeros((2, 2), np.uint8),
         detail=np.zeros((2, 2, 1), np.uint8),
         from_previous=np.eye(3) if from_previous is None else from_previous,
+        continues=continues,
     )
 
 
@@ -105,6 +108,16 @@ def test_at_an_end_neighbours_come_from_the_other_side(centre: int, neighbours: 
 def test_a_short_stream_has_the_neighbours_that_it_has() -> None:
     assert filled(1, interval=4).neighbours(0, [-4, -2, 2, 4]) == []
     assert filled(3, interval=4).neighbours(0, [-4, -2, 2, 4]) == [2]
+
+
+def test_a_frame_that_has_nothing_in_common_with_others_is_compared_with_none() -> None:
+    window = window_of(interval=2, look_ahead=2)
+    for index in range(9):
+        # Frame 4 is torn: neither it nor the one after it continues what was before.
+        window.append(tiny_frame(index, continues=index not in (0, 4, 5)))
+    assert [index for index in range(9) if not window.shows_scene(index)] == [4]
+    assert window.neighbours(3, [-2, -1, 1, 2]) == [-3, -2, -1, 2]
+    assert window.key_frames(3) == [0, 1, 2, 5, 6, 7, 8]
 
 
 def test_the_scene_is_shown_by_key_frames() -> None:

@@ -194,7 +194,10 @@ class StabilisedDetector:
         scene, it is far from that by way of all frames between, which stands then.
         """
         direct = register_affine(reference, grey)
-        stepwise: Matrix = register_affine(self._newest, grey) @ self._to_newest
+        step = register_affine(self._newest, grey)
+        stepwise = self._to_newest if step is None else step @ self._to_newest
+        if direct is None:
+            return stepwise
         height, width = grey.shape
         corners = np.array([[0, width, width, 0], [0, 0, height, height], [1, 1, 1, 1]])
         apart = float(np.abs((direct - stepwise) @ corners).max())

@@ -175,7 +175,7 @@ class MotionSegmenter:
         assert self._resolution is not None
         frame = self._frames.pop(centre)
         ego_motion = self._ego_motion(centre)
-        motion = self._motion(centre)
+        motion = self._motion(centre) if self._window.shows_scene(centre) else None
         if motion is None:
             self._identities.update([], ego_motion, 0.0)
             return _Pending(frame, self._resolution, None, [])

@@ -22,24 +22,33 @@ _CORNERS = 400
 _PYRAMID_LEVELS = 2
 _FEWEST_CORNERS = 12
 _RANSAC_REPROJECTION_PIXELS = 1.0
+# Two pictures have nothing in common when the peak of their phase correlation, times the root of
+# the number of pixels, is no higher than chance makes it, and their grey values, once they are
+# aligned, don't correlate. At 432x243 pixels, chance reaches a peak of 0.04 and a correlation of
+# 0.1; frames of one scene stay above 0.19 and 0.47, even where the camera is panned fast.
+_CHANCE_PEAK, _LEAST_CORRELATION = 30.0, 0.4
+# Share of the picture that must overlap for its correlation to mean something.
+_LEAST_OVERLAP = 0.25
 # A telephoto view neither turns over nor zooms by a tenth within one frame.
 _LARGEST_CHANGE_OF_SHAPE = 0.1
 
 
-def register_translation(source: GreyImage, target: GreyImage) -> Matrix:
-    """Give the translation that takes `source` to `target`, by phase correlation.
+def phase_correlation(source: GreyImage, target: GreyImage) -> tuple[Matrix, float]:
+    """Give the translation that takes `source` to `target`, and the peak that shows it.
 
-    A picture of one grey value has moved nowhere.
+    The peak is 1 for a pure translation. A picture of one grey value lies anywhere: it gets the
+    identity and a peak of 0.
 
     :param source: HxW grey image.
     :param target: HxW grey image of the same size.
     """
     if source.min() == source.max() or target.min() == target.max():
-        # A picture of one grey value lies anywhere.
-        return np.eye(3)
+        return np.eye(3), 0.0
     window = _hanning_window((source.shape[1], source.shape[0]))
-    (dx, dy), _ = cv2.phaseCorrelate(source.astype(np.float32), target.astype(np.float32), window)
-    return np.array([[1.0, 0.0, dx], [0.0, 1.0, dy], [0.0, 0.0, 1.0]])
+    (dx, dy), peak = cv2.phaseCorrelate(
+        source.astype(np.float32), target.astype(np.float32), window
+    )
+    return np.array([[1.0, 0.0, dx], [0.0, 1.0, dy], [0.0, 0.0, 1.0]]), peak
 
 
 @functools.lru_cache(maxsize=4)
@@ -47,40 +56,44 @@ def _hanning_window(size: tuple[int, int]) -> npt.NDArray[np.float32]:
     return cv2.createHanningWindow(size, cv2.CV_32F)
 
 
-def _coarse_translation(source: GreyImage, target: GreyImage) -> tuple[float, float]:
-    """Give about how far `source` has moved to become `target`, in pixels."""
-    size = (source.shape[1] // 2, source.shape[0] // 2)
-    halves = [cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in (source, target)]
-    translation = register_translation(*halves)[:2, 2]
-    return 2.0 * float(translation[0]), 2.0 * float(translation[1])
-
-
-def register_affine(source: GreyImage, target: GreyImage) -> Matrix:
+def register_affine(source: GreyImage, target: GreyImage) -> Matrix | None:
     """Give the affine transform that takes `source` to `target`.
 
     Corners are followed by pyramidal Lucas-Kanade from where the translation puts them, and an
     affine transform is fitted by RANSAC, so that moving objects do not take part. Where the
     picture carries too few corners, or they agree on nothing a camera could do, the translation
-    stands.
+    stands. None when the pictures have nothing in common: a cut, a covered lens, a torn frame.
     """
-    affine = _affine_of_corners(source, target)
+    size = (source.shape[1] // 2, source.shape[0] // 2)
+    halves = [cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in (source, target)]
+    coarse, peak = phase_correlation(*halves)
+    affine = _affine_of_corners(source, target, 2.0 * coarse[:2, 2])
     if affine is None or np.abs(affine[:, :2] - np.eye(2)).max() > _LARGEST_CHANGE_OF_SHAPE:
-        return register_translation(source, target)
-    return np.vstack([affine, [0.0, 0.0, 1.0]])
+        found, _ = phase_correlation(source, target)
+    else:
+        found = np.vstack([affine, [0.0, 0.0, 1.0]])
+    by_chance = peak * np.sqrt(halves[0].size) < _CHANCE_PEAK
+    if by_chance and _correlation(source, target, found) < _LEAST_CORRELATION:
+        return None
+    return found
 
 
-def _affine_of_corners(source: GreyImage, target: GreyImage) -> Matrix | None:
-    """Give the 2x3 transform that most corners agree on; None when they are too few."""
+def _affine_of_corners(
+    source: GreyImage, target: GreyImage, shift: npt.NDArray[np.float64]
+) -> Matrix | None:
+    """Give the 2x3 transform that most corners agree on; None when they are too few.
+
+    :param shift: about how far `source` has moved to become `target`, (x, y).
+    """
     corners = cv2.goodFeaturesToTrack(source, _CORNERS, qualityLevel=0.01, minDistance=8)
     if corners is None or len(corners) < _FEWEST_CORNERS:
         return None
     corners = corners.reshape(-1, 1, 2).astype(np.float32)
-    guess = corners + np.array(_coarse_translation(source, target), np.float32)
     followed, found, _ = cv2.calcOpticalFlowPyrLK(
         source,
         target,
         corners,
-        guess,
+        corners + shift.astype(np.float32),
         winSize=(15, 15),
         maxLevel=_PYRAMID_LEVELS,
         flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
@@ -95,6 +108,17 @@ def _affine_of_corners(source: GreyImage, target: GreyImage) -> Matrix | None:
         ransacReprojThreshold=_RANSAC_REPROJECTION_PIXELS,
     )
     return None if affine is None else np.asarray(affine)
+
+
+def _correlation(source: GreyImage, target: GreyImage, transform: Matrix) -> float:
+    """Give the correlation of grey values where `transform` lays two pictures over one another."""
+    seen = visible((source.shape[0], source.shape[1]), transform)
+    if np.count_nonzero(seen) < _LEAST_OVERLAP * seen.size:
+        return 0.0
+    there, here = align(target, transform)[seen].astype(float), source[seen].astype(float)
+    if not there.std() or not here.std():
+        return 0.0
+    return float(np.corrcoef(here, there)[0, 1])
 
 
 def align(image: npt.NDArray[np.uint8], to_image: Matrix) -> npt.NDArray[np.uint8]:

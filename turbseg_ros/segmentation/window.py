@@ -15,6 +15,8 @@ Mask = npt.NDArray[np.bool_]
 Matrix = npt.NDArray[np.float64]
 ByteImage = npt.NDArray[np.uint8]
 
+# Flow needs so many pixels each way.
+_SHORTEST_SIDE = 16
 # With fewer views of it, the median of the background is a matter of chance.
 _ENOUGH_KEY_FRAMES = 6
 
@@ -37,16 +39,20 @@ class Resolution:
         """
         height, width = shape[:2]
 
-        def scaled(scale: float) -> tuple[int, int]:
-            return max(round(width * scale), 16), max(round(height * scale), 16)
-
-        def scale_to(wanted: int) -> float:
-            return float(np.sqrt(wanted * wanted * 9 / 16 / (width * height)))
+        def scaled(pixels: float) -> tuple[int, int]:
+            scale = np.sqrt(pixels / (width * height))
+            # A strip is widened for flow to fit in, at the cost of its length.
+            longest = round(pixels) // _SHORTEST_SIDE
+            x, y = (
+                min(max(round(side * scale), _SHORTEST_SIDE), max(longest, _SHORTEST_SIDE))
+                for side in (width, height)
+            )
+            return x, y
 
         return cls(
             input=(width, height),
-            processing=scaled(scale_to(processing_width)),
-            detail=scaled(min(scale_to(detail_width), 1.0)),
+            processing=scaled(processing_width**2 * 9 / 16),
+            detail=scaled(min(detail_width**2 * 9 / 16, width * height)),
         )
 
     @property
@@ -72,6 +78,7 @@ class PreparedFrame:
 
     `grey` is at processing resolution, `detail` HxWxC at detail resolution, both uint8;
     `from_previous` takes the pixels (of `grey`) of the frame before in the window to this one's;
+    `continues` tells whether the two have anything in common;
     `objects` tells, at detail resolution and once known, which pixels are objects.
     """
 
@@ -79,6 +86,7 @@ class PreparedFrame:
     grey: ByteImage
     detail: ByteImage
     from_previous: Matrix
+    continues: bool = True
     objects: Mask | None = None
 
 
@@ -92,11 +100,13 @@ def prepare(
     detail = _shrunk(picture, resolution.detail)
     grey = cv2.cvtColor(detail, cv2.COLOR_BGR2GRAY) if detail.ndim == 3 else detail
     grey = _resized(grey, resolution.processing)
+    motion = None if previous is None else register_affine(previous.grey, grey)
     return PreparedFrame(
         index=index,
         grey=grey,
         detail=detail.reshape(*detail.shape[:2], -1),
-        from_previous=np.eye(3) if previous is None else register_affine(previous.grey, grey),
+        from_previous=np.eye(3) if motion is None else motion,
+        continues=motion is not None,
     )
 
 
@@ -159,13 +169,24 @@ class FrameWindow:
         if index in self._frames:
             self._frames[index] = replace(self._frames[index], objects=objects)
 
+    def shows_scene(self, index: int) -> bool:
+        """Tell whether a frame has anything in common with the one before or after it.
+
+        Noise, a covered lens or a torn frame has not.
+        """
+        after = self._frames.get(index + 1)
+        return self._frames[index].continues or (after is not None and after.continues)
+
+    def _is_use(self, index: int) -> bool:
+        return index in self._frames and self.shows_scene(index)
+
     def neighbours(self, centre: int, wanted: Sequence[int]) -> list[int]:
         """Give the intervals to compare a frame over: the wanted ones that exist.
 
         At the ends of the stream, where one side is missing, as many more are taken from the
         other side, in steps of the smallest wanted one.
         """
-        there = [k for k in wanted if centre + k in self._frames]
+        there = [k for k in wanted if self._is_use(centre + k)]
         step = min(abs(k) for k in wanted)
         reach = 2 * self._interval
         spare = [
@@ -177,13 +198,13 @@ class FrameWindow:
         for k in spare:
             if len(there) >= len(wanted):
                 break
-            if centre + k in self._frames:
+            if self._is_use(centre + k):
                 there.append(k)
         return sorted(there)
 
     def key_frames(self, centre: int) -> list[int]:
         """Give the indices of the frames that show the scene at other times than `centre`."""
-        others = sorted(k for k in self._frames if k != centre)
+        others = sorted(k for k in self._frames if k != centre and self.shows_scene(k))
         keys = [k for k in others if k % self._key_step == 0]
         # Early on there are few: then every frame at hand counts.
         return keys if len(keys) >= _ENOUGH_KEY_FRAMES else others
