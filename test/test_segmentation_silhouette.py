@@ -304,8 +304,13 @@ def test_a_narrow_gap_parts_nothing() -> None:
 
 
 def test_debris_is_dropped() -> None:
-    (kept,) = separated(rectangle(10, 10, 40, 40) | rectangle(80, 60, 84, 64))
+    (kept,) = separated(rectangle(10, 10, 40, 40) | rectangle(55, 44, 59, 48))
     np.testing.assert_array_equal(kept, rectangle(10, 10, 40, 40))
+
+
+def test_what_is_small_and_far_from_the_large_is_no_debris() -> None:
+    large, small = rectangle(10, 10, 40, 40), rectangle(80, 60, 84, 64)
+    np.testing.assert_array_equal(separated(large | small), [large, small])
 
 
 def test_nothing_has_no_parts() -> None:

@@ -65,17 +65,26 @@ def test_a_frame_waits_for_those_that_it_is_compared_with(count: int, interval: 
         window.append(tiny_frame(index))
         for centre in window.ready():
             after = window.count - 1 - centre
-            # The first frames have no past: they are compared with twice as many to come.
-            assert after >= interval if centre >= interval else window.count > 2 * interval
+            assert after >= interval
 
 
 def test_a_frame_waits_no_longer_than_it_must() -> None:
     window = window_of(interval=2, look_ahead=2)
     ready = []
-    for index in range(7):
+    for index in range(5):
         window.append(tiny_frame(index))
         ready.append(list(window.ready()))
-    assert ready == [[], [], [], [], [0, 1, 2], [3], [4]]
+    assert ready == [[], [], [0], [1], [2]]
+
+
+def test_the_first_frames_wait_for_the_warm_up_and_are_then_worked_off_two_at_a_time() -> None:
+    window = FrameWindow(2, 2, memory=48, key_step=3, warm_up=6)
+    ready = []
+    for index in range(10):
+        window.append(tiny_frame(index))
+        ready.append(list(window.ready()))
+    assert ready == [[], [], [], [], [], [0, 1], [2, 3], [4, 5], [6], [7]]
+    assert list(window.ready(ended=True)) == [8, 9]
 
 
 def test_without_look_ahead_a_frame_is_ready_when_it_comes() -> None:
@@ -99,15 +108,25 @@ def test_neighbours_lie_on_both_sides() -> None:
 
 @pytest.mark.parametrize(
     ("centre", "neighbours"),
-    [(0, [2, 4, 6, 8]), (1, [2, 4, 6, 8]), (2, [-2, 2, 4, 6]), (12, [-8, -6, -4, -2])],
+    [
+        (0, [1, 2, 4, 12]),
+        (3, [-2, 1, 2, 4, 12]),
+        (4, [-4, 4, 12]),
+        (12, [-12, -4, 4]),
+        (22, [-12, -4, -2, -1]),
+    ],
 )
 def test_at_an_end_neighbours_come_from_the_other_side(centre: int, neighbours: list[int]) -> None:
-    assert filled(13, interval=4).neighbours(centre, [-4, -2, 2, 4]) == neighbours
+    window = FrameWindow(12, 100, memory=48, key_step=3)
+    for index in range(23):
+        window.append(tiny_frame(index))
+    assert window.neighbours(centre, [-12, -4, 4]) == neighbours
 
 
 def test_a_short_stream_has_the_neighbours_that_it_has() -> None:
-    assert filled(1, interval=4).neighbours(0, [-4, -2, 2, 4]) == []
-    assert filled(3, interval=4).neighbours(0, [-4, -2, 2, 4]) == [2]
+    assert filled(1, interval=4).neighbours(0, [-12, -4, 4]) == []
+    assert filled(3, interval=4).neighbours(0, [-12, -4, 4]) == []
+    assert filled(5, interval=4).neighbours(0, [-12, -4, 4]) == [1, 2, 4]
 
 
 def test_a_frame_that_has_nothing_in_common_with_others_is_compared_with_none() -> None:

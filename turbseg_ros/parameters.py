@@ -131,6 +131,15 @@ class LatencyParameters:
         choices=("centred", "causal"),
         read_only=True,
     )
+    warm_up: int = parameter(
+        24,
+        "Frames that must be there before the first is answered, when centred: they show its "
+        "background.",
+        unit="frames",
+        minimum=0,
+        maximum=300,
+        read_only=True,
+    )
 
 
 @dataclass(frozen=True)
@@ -160,7 +169,7 @@ class FlowParameters:
     )
     average: str = parameter(
         "slope",
-        "slope: fit the velocity to the flows at ±B/2 and ±B; mean: the paper's eq. 1, ±1 to ±B.",
+        "slope: fit the velocity to the flows at ±B and -3B; mean: the paper's eq. 1, ±1 to ±B.",
         choices=("slope", "mean"),
         read_only=True,
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
@@ -15,6 +15,7 @@ from turbseg_ros.segmentation import geometry
 
 Flow = npt.NDArray[np.float32]
 Map = npt.NDArray[np.float32]
+Mask = npt.NDArray[np.bool_]
 
 Average = Callable[[Mapping[int, Flow], Mapping[int, Map]], tuple[Flow, Map]]
 """Makes one velocity of a pixel's flows, HxWx2 in pixels a frame.
@@ -26,6 +27,8 @@ Beside it, its standard error for flows of unit variance, HxW; inf where there a
 _TILT_CORRELATION = (1.0, 0.6, 0.35, 0.25, 0.2, 0.17, 0.15, 0.12, 0.1)
 # The median length of a two-axis normal variable, in standard deviations of an axis.
 _RAYLEIGH_MEDIAN = 1.1774
+# Estimates over a short and a long time agree within so many standard deviations of the short one.
+_AGREEMENT = 3.0
 # Flow can't be trusted to be steadier than this from frame to frame, in pixels a frame.
 _LEAST_NOISE = 0.015
 # Medians over a map are taken from about so many pixels.
@@ -99,6 +102,26 @@ def _estimate(
         tilt=measured_tilt(residuals, visible),
         visible=visible,
         ego_motion_model=ego_motion_model,
+    )
+
+
+def agree(motion: MotionEstimate, other: MotionEstimate) -> Mask:
+    """Tell in which pixels two estimates give one velocity, within the first one's noise, HxW.
+
+    Where an object has passed within the longer time, flow finds nothing and means nothing.
+    """
+    change = motion.velocity - other.velocity
+    same: Mask = np.hypot(change[..., 0], change[..., 1]) < _AGREEMENT * motion.noise
+    return same
+
+
+def merged(motion: MotionEstimate, other: MotionEstimate, where: Mask) -> MotionEstimate:
+    """Give `motion` with the velocity, map and noise of `other` in some pixels, HxW."""
+    return replace(
+        motion,
+        velocity=np.where(where[..., None], other.velocity, motion.velocity),
+        motion_map=np.where(where, other.motion_map, motion.motion_map),
+        noise=np.where(where, other.noise, motion.noise),
     )
 
 

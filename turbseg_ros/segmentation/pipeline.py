@@ -19,7 +19,9 @@ from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResu
 from turbseg_ros.segmentation.motion import (
     MotionEstimate,
     affine_motion,
+    agree,
     mean_velocity,
+    merged,
     sampson_motion,
     slope_velocity,
     unchecked_motion,
@@ -29,6 +31,7 @@ from turbseg_ros.segmentation.region_growing import Region
 from turbseg_ros.segmentation.silhouette import (
     MovingArea,
     Outline,
+    convex_hull,
     enlarged,
     moving_areas,
     object_windows,
@@ -50,8 +53,12 @@ Mask = npt.NDArray[np.bool_]
 Matrix = npt.NDArray[np.float64]
 
 _FLOW_THREADS = 2
+# Flow is also taken so many times B back, for what is slow.
+_LONG = 3
 # Flow within this many pixels of another frame's border follows the border, not the scene.
 _BORDER = 4.0
+# Pixels at processing resolution by which flow smears past an object.
+_SMEAR = 7
 # Smallest region, in pixels at processing resolution, and smallest outline, in detail pixels.
 _SMALLEST_REGION = 12
 _SMALLEST_OUTLINE = 12
@@ -61,6 +68,15 @@ _GUARD = 2
 _RESTING = 0.6
 # Labels are 16-bit: the 65,536th object gets label 1 again; its id goes on counting.
 _MOST_LABELS = 65535
+
+
+@dataclass(frozen=True)
+class _Moving:
+    """What moves in a frame: the motion measured, the regions grown, where objects may be."""
+
+    motion: MotionEstimate
+    regions: Sequence[Region]
+    areas: Sequence[MovingArea]
 
 
 @dataclass(frozen=True)
@@ -111,8 +127,9 @@ class MotionSegmenter:
         """Forget all frames and end all objects; ids go on."""
         p = self._parameters
         self._window = FrameWindow(
-            interval=p.flow.interval,
+            reach=_LONG * p.flow.interval,
             look_ahead=0 if p.latency.mode == "causal" else p.flow.interval,
+            warm_up=0 if p.latency.mode == "causal" else p.latency.warm_up,
             memory=p.outline.memory,
             key_step=p.outline.key_step,
         )
@@ -175,17 +192,17 @@ class MotionSegmenter:
         assert self._resolution is not None
         frame = self._frames.pop(centre)
         ego_motion = self._ego_motion(centre)
-        motion = self._motion(centre) if self._window.shows_scene(centre) else None
-        if motion is None:
+        motions = self._motions(centre) if self._window.shows_scene(centre) else []
+        if not motions:
             self._identities.update([], ego_motion, 0.0)
             return _Pending(frame, self._resolution, None, [])
-        regions = self._regions(motion)
+        moving = self._what_moves(motions)
         scale = self._resolution.detail_from_processing[0]
-        tilt = 0.0 if np.isnan(motion.tilt) else motion.tilt * scale
-        candidates = self._outlines(centre, motion, regions, ego_motion, tilt, frame.stamp)
+        tilt = 0.0 if np.isnan(moving.motion.tilt) else moving.motion.tilt * scale
+        candidates = self._outlines(centre, moving, ego_motion, tilt, frame.stamp)
         observations = self._identities.update(candidates, ego_motion, tilt)
         self._window.mark_objects(centre, _widened(candidates, self._detail_shape, _GUARD))
-        return _Pending(frame, self._resolution, motion, observations)
+        return _Pending(frame, self._resolution, moving.motion, observations)
 
     @property
     def _detail_shape(self) -> tuple[int, int]:
@@ -205,16 +222,19 @@ class MotionSegmenter:
         if p.flow.average == "mean" or p.motion.measure == "sampson":
             reach = list(range(1, widest + 1))
         else:
-            reach = sorted({max(round(widest / 2), 1), widest})
+            return [-_LONG * widest, -widest, widest]
         if p.latency.mode == "causal":
             return [-k for k in reach] + [-k - widest for k in reach]
         return [-k for k in reach] + reach
 
-    def _motion(self, centre: int) -> MotionEstimate | None:
-        """Measure the motion in a frame; None while there is nothing to compare it with."""
+    def _motions(self, centre: int) -> list[MotionEstimate]:
+        """Measure the motion in a frame, over a short and a long time.
+
+        Nothing is given while there is nothing to compare it with.
+        """
         intervals = self._window.neighbours(centre, self._intervals())
         if len(intervals) < 2:
-            return None
+            return []
         grey = self._window[centre].grey
         shape = (grey.shape[0], grey.shape[1])
         transforms = {k: self._window.transform(centre, centre + k) for k in intervals}
@@ -232,12 +252,38 @@ class MotionSegmenter:
         else:
             flows = self._flow.flows_to(grey, aligned)
         if p.motion.measure == "sampson":
-            return sampson_motion(flows, weights, _interval_sets(p.flow.interval))
+            return [sampson_motion(flows, weights, _interval_sets(p.flow.interval))]
         measure = affine_motion if p.motion.measure == "affine" else unchecked_motion
-        average = mean_velocity if p.flow.average == "mean" else slope_velocity
-        return measure(flows, weights, average)
+        if p.flow.average == "mean":
+            return [measure(flows, weights, mean_velocity)]
+        motion = measure(flows, weights, slope_velocity)
+        near = [k for k in flows if abs(k) <= 2 * p.flow.interval]
+        if len(near) in (len(flows), 0, 1):
+            return [motion]
+        short = measure({k: flows[k] for k in near}, {k: weights[k] for k in near}, slope_velocity)
+        return [short, motion]
 
-    def _regions(self, motion: MotionEstimate) -> list[Region]:
+    def _what_moves(self, motions: Sequence[MotionEstimate]) -> _Moving:
+        """Grow regions over a short time, and over a long one where what is slower moves."""
+        assert self._resolution is not None
+        short = motions[0]
+        regions = self._regions(short, np.zeros(short.motion_map.shape, bool))
+        moving = _Moving(short, regions, moving_areas(regions, short, self._resolution.detail))
+        for motion in motions[1:]:
+            taken = _dilated(
+                union([convex_hull(region.mask) for region in regions], short.motion_map.shape),
+                _SMEAR,
+            )
+            regions = self._regions(motion, taken | ~agree(short, motion))
+            slow = union([region.mask for region in regions], taken.shape)
+            moving = _Moving(
+                merged(moving.motion, motion, slow),
+                [*moving.regions, *regions],
+                [*moving.areas, *moving_areas(regions, motion, self._resolution.detail)],
+            )
+        return moving
+
+    def _regions(self, motion: MotionEstimate, taken: Mask) -> list[Region]:
         seed, growing = self._parameters.seed, self._parameters.growing
         strength = region_growing.seed_strength(motion, seed.size, seed.delta1, seed.delta2)
         similarity = {
@@ -245,32 +291,30 @@ class MotionSegmenter:
             "magnitude": region_growing.similar_magnitude,
         }[growing.similarity]
         return region_growing.grow_regions(
-            motion, strength, seed.size, growing.delta, similarity, _SMALLEST_REGION
+            motion, strength, seed.size, growing.delta, similarity, _SMALLEST_REGION, taken
         )
 
     def _outlines(
         self,
         centre: int,
-        motion: MotionEstimate,
-        regions: Sequence[Region],
+        moving: _Moving,
         ego_motion: Matrix,
         tilt: float,
         stamp: int,
     ) -> list[Candidate]:
         """Turn moving regions into outlines at detail resolution."""
         assert self._resolution is not None
-        areas = moving_areas(regions, motion, self._resolution.detail)
-        moving = union([area.mask for area in areas], self._detail_shape)
+        area = union([area.mask for area in moving.areas], self._detail_shape)
         if self._parameters.outline.method == "none":
-            masks = [enlarged(region.mask, self._resolution.detail) for region in regions]
+            masks = [enlarged(region.mask, self._resolution.detail) for region in moving.regions]
             outlines = [Outline.of(mask) for mask in masks if mask.any()]
         else:
-            resting = self._resting_objects(moving, ego_motion)
+            resting = self._resting_objects(area, ego_motion)
             windows = object_windows(
                 self._window[centre].detail,
-                [*areas, *resting],
-                self._views(centre, areas),
-                motion,
+                [*moving.areas, *resting],
+                self._views(centre, moving.areas),
+                moving.motion,
                 tilt,
                 stamp,
             )
@@ -281,7 +325,7 @@ class MotionSegmenter:
                 else refined_silhouettes(windows, self._refiner.refine(windows))
             )
         return [
-            _candidate(outline, moving, motion, self._resolution)
+            _candidate(outline, area, moving.motion, self._resolution)
             for outline in outlines
             if np.count_nonzero(outline.mask) >= _SMALLEST_OUTLINE
         ]

@@ -85,6 +85,7 @@ def grow_regions(
     delta: float,
     similarity: Similarity,
     smallest: int,
+    taken: Mask | None = None,
 ) -> list[Region]:
     """Grow a region from each seed, strongest first; regions don't overlap.
 
@@ -92,8 +93,11 @@ def grow_regions(
     :param size: D, the window's size in pixels.
     :param delta: δ of eq. 3.
     :param smallest: regions below this area in pixels are dropped.
+    :param taken: HxW, pixels that belong to other regions already.
     """
     occupancy = np.full(strength.shape, _FREE, np.uint8)
+    if taken is not None:
+        occupancy[taken] = _TAKEN
     regions = []
     for seed in _seeds(motion, strength, occupancy, size):
         candidates = similarity(motion, seed, delta) & (occupancy == _FREE) & motion.visible

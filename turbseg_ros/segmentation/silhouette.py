@@ -28,6 +28,8 @@ Image = npt.NDArray[np.uint8]
 _MARGIN = 8
 # Difference that belongs to an object, as a fraction of the object's usual one: less is blur.
 _FRINGE = 0.2
+# Width in pixels of the square in which a faint patch is measured by a stronger one.
+_NEARBY = 31
 # A shadow keeps the colour of what it falls on and most of its light, and is fainter than this
 # fraction of the object's usual difference; it covers no more than that share of the whole.
 _SHADOW_CONTRAST = 0.65
@@ -193,9 +195,8 @@ def standing_out(
     deviation = deviation_from(background, image, tilt) / threshold
     difference = difference_from(background, image)
     certain = moving & background.known & (deviation > 1.0)
-    if certain.any():
-        usual = float(np.percentile(difference[certain], 80))
-        deviation = np.minimum(deviation, difference / (_FRINGE * usual))
+    usual = _usual_difference(difference, certain)
+    deviation = np.minimum(deviation, difference / np.maximum(_FRINGE * usual, 1e-3))
     score = np.clip(cv2.blur(np.minimum(deviation, 4.0), (3, 3)) - 1.0, -1.0, 1.0)
     if np.count_nonzero(moving & ~background.known) > _OPEN * np.count_nonzero(moving):
         cut = _cut_by_colour(background, image, score, area)
@@ -208,7 +209,7 @@ def standing_out(
 def separated(mask: Mask) -> list[Mask]:
     """Split a mask into objects: parts with a gap small for their size belong together.
 
-    What is left over beside an object that is ten times as large is a part of nothing.
+    What is left over close beside an object that is ten times as large is a part of nothing.
     """
     reach = int(np.clip(_GAP * np.sqrt(np.count_nonzero(mask)), 1, 20))
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
@@ -218,8 +219,13 @@ def separated(mask: Mask) -> list[Mask]:
     closed = cv2.morphologyEx(padded, cv2.MORPH_CLOSE, kernel)[reach:-reach, reach:-reach]
     count, groups = cv2.connectedComponents(closed)
     parts = [(groups == group) & mask for group in range(1, count)]
-    largest = max((np.count_nonzero(part) for part in parts), default=0)
-    return [part for part in parts if np.count_nonzero(part) >= _DEBRIS * largest]
+    return [part for part in parts if not any(_is_debris(part, other) for other in parts)]
+
+
+def _is_debris(part: Mask, other: Mask) -> bool:
+    large = np.count_nonzero(other)
+    close = _gap(part, other) < np.sqrt(large)
+    return bool(close and np.count_nonzero(part) < _DEBRIS * large)
 
 
 def without_shadow(mask: Mask, image: Image, background: Background) -> Mask:
@@ -269,6 +275,16 @@ def guided_filter(guide: Map, source: Map, radius: int, epsilon: float) -> Map:
     offset = mean_source - slope * mean_guide
     smoothed: Map = cv2.blur(slope, size) * guide + cv2.blur(offset, size)
     return smoothed
+
+
+def _usual_difference(difference: Map, certain: Mask) -> Map:
+    """Give what the strongest patch of certain pixels nearby differs by, 0 far from any, hxw."""
+    count, patches = cv2.connectedComponents(certain.astype(np.uint8))
+    usual = [0.0] + [float(np.percentile(difference[patches == k], 80)) for k in range(1, count)]
+    nearby: Map = cv2.dilate(
+        np.asarray(usual, np.float32)[patches], np.ones((_NEARBY, _NEARBY), np.uint8)
+    )
+    return nearby
 
 
 def _cut_by_colour(background: Background, image: Image, score: Map, area: MovingArea) -> Mask:

@@ -28,6 +28,8 @@ _REACH = 0.6
 _TRAIL_LENGTH = 60
 # Share of a candidate that must lie where an object is expected for it to be a part of it.
 _PART = 0.5
+# Share of an object's expected mask that must lie in a candidate for the candidate to hold it.
+_HELD = 0.5
 # Share of the way its flow claims that a track must really have come to become an object, and to
 # stay one: flow bleeds past an object's edge, and what sways or ripples gets nowhere.
 _HONESTY = 0.5
@@ -247,7 +249,7 @@ class ObjectTracker:
         self._restless = [
             place.carried(ego_motion) for place in self._restless if place.age < _RESTLESS_SPAN
         ]
-        candidates = self._reunited(candidates)
+        candidates = self._reunited(self._divided(candidates))
         matched = self._match(candidates, tilt)
         observations = []
         for index, candidate in enumerate(candidates):
@@ -266,6 +268,22 @@ class ObjectTracker:
             track.misses = 0 if id(track) in seen else track.misses + 1
         self._drop_lost()
         return observations
+
+    def _divided(self, candidates: Sequence[Candidate]) -> list[Candidate]:
+        """Split candidates that hold several objects, say one that passes before another.
+
+        Each pixel goes to the object whose expected mask is nearest.
+        """
+        objects = [track for track in self._tracks if track.confirmed]
+        result: list[Candidate] = []
+        for candidate in candidates:
+            held = [
+                track
+                for track in objects
+                if _common_area(track, candidate) > _HELD * track.candidate.area
+            ]
+            result += [candidate] if len(held) < 2 else _split(candidate, held)
+        return result
 
     def _reunited(self, candidates: Sequence[Candidate]) -> list[Candidate]:
         """Join candidates that are parts of one object, say on both sides of a pole.
@@ -382,6 +400,39 @@ def _common_area(track: Track, candidate: Candidate) -> int:
     there = track.candidate.mask[common.moved(-expected.x0, -expected.y0).slices]
     here = candidate.mask[common.moved(-found.x0, -found.y0).slices]
     return int(np.count_nonzero(there & here))
+
+
+def _split(candidate: Candidate, tracks: Sequence[Track]) -> list[Candidate]:
+    """Divide a candidate's pixels among the tracks that are expected in it, by distance."""
+    away = np.stack([_distance_to_expected(track, candidate.box) for track in tracks])
+    nearest = away.argmin(axis=0)
+    parts = []
+    for index, track in enumerate(tracks):
+        mask = candidate.mask & (nearest == index)
+        if mask.any():
+            box = Box.around(mask)
+            parts.append(
+                Candidate(
+                    box.moved(candidate.box.x0, candidate.box.y0),
+                    mask[box.slices],
+                    track.velocity,
+                    candidate.moving,
+                )
+            )
+    return parts
+
+
+def _distance_to_expected(track: Track, box: Box) -> npt.NDArray[np.float32]:
+    """Give the distance of each pixel in a box to where the track's mask is expected, hxw."""
+    dx, dy = np.rint(track.position - track.candidate.centroid).astype(int)
+    expected = track.candidate.box.moved(int(dx), int(dy))
+    free = np.ones(box.shape, np.uint8)
+    common = expected.common(box)
+    if common is not None:
+        there = track.candidate.mask[common.moved(-expected.x0, -expected.y0).slices]
+        free[common.moved(-box.x0, -box.y0).slices] = ~there
+    distance: npt.NDArray[np.float32] = cv2.distanceTransform(free, cv2.DIST_L2, 3)
+    return distance
 
 
 def _joined(parts: Sequence[Candidate]) -> Candidate:

@@ -19,6 +19,8 @@ ByteImage = npt.NDArray[np.uint8]
 _SHORTEST_SIDE = 16
 # With fewer views of it, the median of the background is a matter of chance.
 _ENOUGH_KEY_FRAMES = 6
+# Frames segmented for each that comes while some have piled up.
+_CATCH_UP = 2
 
 
 @dataclass(frozen=True)
@@ -113,16 +115,20 @@ def prepare(
 class FrameWindow:
     """The frames at hand: all around those still to be segmented, and key frames of the past."""
 
-    def __init__(self, interval: int, look_ahead: int, memory: int, key_step: int) -> None:
+    def __init__(
+        self, reach: int, look_ahead: int, memory: int, key_step: int, warm_up: int = 0
+    ) -> None:
         """Set up an empty window.
 
-        :param interval: B, the largest interval between a frame and a neighbour.
+        :param reach: the largest interval between a frame and a neighbour.
         :param look_ahead: frames after a frame that must be there before it is segmented.
         :param memory: age in frames up to which key frames are kept.
         :param key_step: every how many frames one is kept as a key frame.
+        :param warm_up: frames that must be there before the first is segmented.
         """
-        self._interval = interval
+        self._reach = reach
         self._look_ahead = look_ahead
+        self._warm_up = warm_up
         self._memory = memory
         self._key_step = key_step
         self._frames: dict[int, PreparedFrame] = {}
@@ -150,18 +156,19 @@ class FrameWindow:
     def ready(self, ended: bool = False) -> Iterator[int]:
         """Give, in order, the index of each frame that can be segmented now.
 
-        The first frames lack a past, so they wait for twice the look-ahead. When the stream has
-        `ended`, every frame is ready.
+        The first frames lack a past, so they wait for a longer future. What has piled up by then
+        is worked off frame by frame beside what comes, lest the camera's frames pile up instead.
+        When the stream has `ended`, every frame is ready.
         """
+        given = 0
         while self._next_centre < self._count:
-            centre = self._next_centre
-            wanted = centre + self._look_ahead
-            if centre < self._interval:
-                wanted = max(wanted, 2 * self._look_ahead)
-            if not ended and self._count <= wanted:
+            waiting = self._count - self._next_centre
+            late = waiting > self._look_ahead
+            if not ended and not (self._count >= self._warm_up and late and given < _CATCH_UP):
                 return
+            given += 1
             self._next_centre += 1
-            yield centre
+            yield self._next_centre - 1
             self._forget()
 
     def mark_objects(self, index: int, objects: Mask) -> None:
@@ -183,23 +190,21 @@ class FrameWindow:
     def neighbours(self, centre: int, wanted: Sequence[int]) -> list[int]:
         """Give the intervals to compare a frame over: the wanted ones that exist.
 
-        At the ends of the stream, where one side is missing, as many more are taken from the
-        other side, in steps of the smallest wanted one.
+        What is missing on one side, at the ends of the stream, is taken from the other. With all
+        on one side, others near are added, for then the frame's own tilt has to be told as well.
         """
-        there = [k for k in wanted if self._is_use(centre + k)]
-        step = min(abs(k) for k in wanted)
-        reach = 2 * self._interval
-        spare = [
-            sign * distance
-            for distance in range(step, reach + 1, step)
-            for sign in (-1, 1)
-            if sign * distance not in wanted
-        ]
-        for k in spare:
-            if len(there) >= len(wanted):
-                break
-            if self._is_use(centre + k):
-                there.append(k)
+        there = {
+            k if self._is_use(centre + k) else -k
+            for k in wanted
+            if self._is_use(centre + k) or self._is_use(centre - k)
+        }
+        if there and (min(there) > 0 or max(there) < 0):
+            nearest = min(there, key=abs)
+            there |= {
+                k
+                for k in (round(nearest * share) for share in (0.25, 0.5, -0.5))
+                if k and self._is_use(centre + k)
+            }
         return sorted(there)
 
     def key_frames(self, centre: int) -> list[int]:
@@ -224,7 +229,7 @@ class FrameWindow:
         for index in sorted(self._frames):
             age = newest_done - index
             key = index % self._key_step == 0 and age <= self._memory
-            if age <= 2 * self._interval or key:
+            if age <= self._reach or key:
                 continue
             dropped = self._frames.pop(index)
             later = min((k for k in self._frames if k > index), default=None)
