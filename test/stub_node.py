@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import signal
 import sys
+from unittest import mock
 
 
 def run() -> int:
@@ -18,12 +19,11 @@ def run() -> int:
     signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM))
     from stub_segmenter import StubSegmenter
 
-    import turbseg_ros.ros.node
     from turbseg_ros.cli.node import main
 
     StubSegmenter.cost, StubSegmenter.fail_every = options.cost, options.fail_every
-    turbseg_ros.ros.node.MotionSegmenter = StubSegmenter
-    return main(ros_arguments)
+    with mock.patch("turbseg_ros.ros.node.motion_segmenter", StubSegmenter):
+        return main(ros_arguments)
 
 
 if __name__ == "__main__":

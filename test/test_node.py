@@ -1,14 +1,19 @@
 """The node as a process of its own, over DDS on localhost."""
 
+import re
 import signal
+import subprocess
+import sys
 from collections.abc import Iterator
 
 import cv2
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
+from drawn_bag import write_drawn_bag
 from node_harness import (
     BEST_EFFORT,
+    PERIOD,
     SECOND,
     Camera,
     NodeProcess,
@@ -24,6 +29,8 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import ImageMarker, Marker, MarkerArray
 
+from turbseg_ros.bag.reader import BagReader
+from turbseg_ros.cli.replay import main as replay
 from turbseg_ros.parameters import Parameters
 from turbseg_ros.ros.image_conversion import image_from_message, message_from_image, ns_to_stamp
 from turbseg_ros.segmentation.frame import Frame
@@ -127,29 +134,34 @@ def test_topics_agree_on_what_was_found(camera, labels, probe):
 
 
 def encoded(image):
-    """Give a grey image in many encodings, two frames each."""
-    colour = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
+    """Give a grey image in every encoding, in the other byte order and with padded rows."""
+    deep = image.astype(np.uint16) * 256
+    for grey, bits in ((image, "8"), (deep, "16")):
+        yield message_from_image(grey, f"mono{bits}", 0)
+        yield message_from_image(grey, f"{bits}UC1", 0)
+        for pattern in ("rggb", "bggr", "gbrg", "grbg"):
+            yield message_from_image(grey, f"bayer_{pattern}{bits}", 0)
+        for order in ("bgr", "rgb", "bgra", "rgba"):
+            yield message_from_image(cv2.merge([grey] * len(order)), f"{order}{bits}", 0)
+    for packed in ("yuv422", "uyvy", "yuv422_yuy2", "yuyv"):
+        yield message_from_image(cv2.merge((image, image)), packed, 0)
+    yield message_from_image(image.astype(np.float32) / 255, "32FC1", 0)
     padded = message_from_image(image, "mono8", 0)
     padded.step += 24
     padded.data = bytes(np.pad(image, ((0, 0), (0, 24))).tobytes())
-    big_endian = message_from_image((image.astype(np.uint16) * 256).byteswap(), "mono16", 0)
-    big_endian.is_bigendian = 1
     yield padded
-    yield big_endian
-    yield message_from_image(image, "8UC1", 0)
-    yield message_from_image(colour, "rgb8", 0)
-    yield message_from_image(cv2.cvtColor(colour, cv2.COLOR_BGR2BGRA), "bgra8", 0)
-    yield message_from_image(image, "bayer_rggb8", 0)
-    yield message_from_image(cv2.merge((image, image)), "yuv422_yuy2", 0)
-    yield message_from_image(image.astype(np.float32) / 255, "32FC1", 0)
+    swapped = message_from_image(deep.byteswap(), "mono16", 0)
+    swapped.is_bigendian = 1 - swapped.is_bigendian
+    yield swapped
 
 
-def test_encodings_may_change_in_midstream(camera, labels, probe):
+def test_every_encoding_is_taken_in_midstream(camera, labels, probe):
     first, second = moving_square(2)
     stamps = []
     for before, after in zip(encoded(first), encoded(second), strict=True):
         stamps += [camera.send(before), camera.send(after)]
     wait_for_answers(probe, labels, stamps)
+    assert len(stamps) > 50
     assert {(label.width, label.height) for label in labels} == {(160, 120)}
 
 
@@ -297,9 +309,15 @@ def test_namespace_remapping_compressed_images_and_the_clock(tmp_path, probe):
         labels = probe.listen("/north/turbseg/labels", Image)
         camera = Camera(probe, "/lens/image/compressed", CompressedImage)
         stamps = []
-        for image in moving_square(10):
-            data = cv2.imencode(".png", image)[1].tobytes()
-            stamps.append(camera.send(CompressedImage(format="png", data=data)))
+        deep = (image.astype(np.uint16) * 256 for image in moving_square(4))
+        for kind, images in (
+            (".png", moving_square(4)),
+            (".jpg", moving_square(4)),
+            (".png", deep),
+        ):
+            for image in images:
+                data = cv2.imencode(kind, image)[1].tobytes()
+                stamps.append(camera.send(CompressedImage(format=kind[1:], data=data)))
         wait_for_answers(probe, labels, stamps)
         clock = probe.advertise("/clock", Clock)
         for second in (100, 101, 50):
@@ -307,36 +325,6 @@ def test_namespace_remapping_compressed_images_and_the_clock(tmp_path, probe):
             probe.spin(0.2)
         probe.wait_for(lambda: "/clock jumped by -51.000 s" in process.output, "the log")
         assert process.stop(signal.SIGTERM) == 0
-
-
-@pytest.mark.parametrize(
-    "signals",
-    [(signal.SIGINT,), (signal.SIGINT, signal.SIGINT), (signal.SIGTERM, signal.SIGINT)],
-    ids=lambda signals: "+".join(number.name for number in signals),
-)
-def test_signals_under_load_end_it_well(tmp_path, probe, signals):
-    # At full size and with little room, so that it is busy and drops images when it is stopped.
-    with NodeProcess(tmp_path / "output", "-r", "__ns:=/loaded", "-p", "queue_size:=2") as process:
-        labels = probe.listen("/loaded/turbseg/labels", Image)
-        camera = Camera(probe, "/loaded/image_raw", rate=60.0)
-        stamps = camera.play(moving_square(60, (480, 640)))
-        probe.wait_for(lambda: "the oldest are dropped" in process.output, "images to be dropped")
-        assert process.stop(*signals) == 0
-        probe.spin(0.2)
-    assert "Traceback" not in process.output
-    answered = stamps_of(labels)
-    assert answered == sorted(set(answered) & set(stamps))
-
-
-@pytest.mark.parametrize("delay", [0.0, 0.5])
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_signals_while_it_starts_end_it_well(tmp_path, probe, number, delay):
-    with NodeProcess(tmp_path / "output") as process:
-        # Before its first line Python itself answers signals.
-        probe.wait_for(lambda: process.blocks(number), "the node's first line")
-        probe.spin(delay)
-        assert process.stop(number) == 0
-    assert process.output == ""
 
 
 @pytest.mark.parametrize(
@@ -355,6 +343,89 @@ def test_what_is_refused_at_start_is_said_in_one_line(tmp_path, arguments, reaso
     (line,) = [line for line in process.output.splitlines() if "[rcl]" not in line]
     assert line.startswith("turbseg_node: ")
     assert reason in line
+
+
+def test_a_nodes_labels_are_those_of_the_replay(tmp_path, probe):
+    stamps = [SECOND + number * PERIOD for number in range(40)]
+    bag = write_drawn_bag(tmp_path / "bag", stamps)
+    settings = [argument for argument in ARGUMENTS if argument != "-p"]
+    options = [item for setting in settings for item in ("-p", setting)]
+    assert replay([str(bag), "-o", str(tmp_path / "replayed"), *options]) == 0
+    replayed = BagReader(tmp_path / "replayed")
+
+    remapping = ("-r", "__ns:=/twin", "-r", "image_raw:=/lens/image_raw")
+    kinds = {"labels": Image, "mask": Image, "centroids": MarkerArray, "annotations": ImageMarker}
+    player = [sys.executable, "-m", "turbseg_ros.cli", "play", str(bag), "--wait", "20"]
+    with NodeProcess(tmp_path / "output", *ARGUMENTS, *remapping) as node:
+        live = {name: probe.listen(f"/twin/turbseg/{name}", kind) for name, kind in kinds.items()}
+        with subprocess.Popen([*player, "--topics", "/lens/image_raw"]) as play:
+            probe.wait_for(lambda: play.poll() is not None, "the player's end")
+        for name, messages in live.items():
+            probe.wait_for(lambda messages=messages: len(messages) == 40, f"all of {name}")
+        assert node.stop(signal.SIGINT) == 0
+    assert any(image_from_message(label).any() for label in live["labels"])
+    for name, messages in live.items():
+        expected = [record.message() for record in replayed.messages([f"/turbseg/{name}"])]
+        assert messages == expected
+
+
+def test_two_nodes_in_namespaces_each_take_their_part_of_one_file(tmp_path, probe):
+    file = tmp_path / "cameras.yaml"
+    file.write_text(
+        "/**:\n  ros__parameters:\n"
+        "    resolution: {processing: 160, detail: 160}\n    queue_size: 100\n"
+        "/north/turbseg:\n  ros__parameters: {max_objects: 1, lens: wide}\n"
+        "south:\n  turbseg:\n    ros__parameters: {max_objects: 2}\n"
+    )
+    arguments = [
+        ("--params-file", str(file), "-r", f"__ns:=/{name}") for name in ("north", "south")
+    ]
+    with (
+        NodeProcess(tmp_path / "north", *arguments[0]) as north,
+        NodeProcess(tmp_path / "south", *arguments[1]) as south,
+    ):
+        labels = {
+            name: probe.listen(f"/{name}/turbseg/labels", Image) for name in ("north", "south")
+        }
+        cameras = {name: Camera(probe, f"/{name}/image_raw") for name in labels}
+        stamps = {
+            "north": cameras["north"].play(moving_square(20)),
+            "south": cameras["south"].play(moving_square(20, (90, 200))),
+        }
+        for name in labels:
+            wait_for_answers(probe, labels[name], stamps[name])
+        assert {label.width for label in labels["north"]} == {160}
+        assert {label.width for label in labels["south"]} == {200}
+        topics = {name for name, _ in probe.node.get_topic_names_and_types()}
+        assert {name for name in topics if re.match("/(north|south)/.*slot", name)} == {
+            "/north/turbseg/objects/slot_0/mask",
+            "/south/turbseg/objects/slot_0/mask",
+            "/south/turbseg/objects/slot_1/mask",
+        }
+        assert [node.stop(signal.SIGINT) for node in (north, south)] == [0, 0]
+    assert "ignored: unknown parameter lens" in north.output
+    assert "unknown" not in south.output
+
+
+def test_a_slot_goes_to_the_next_object_when_its_own_has_ended(tmp_path, probe):
+    arguments = (*ARGUMENTS, "-r", "__ns:=/slots", "-p", "tracking.patience:=3")
+    with NodeProcess(tmp_path / "output", *arguments) as node:
+        labels = probe.listen("/slots/turbseg/labels", Image)
+        slots = probe.listen("/slots/turbseg/objects/slot_0/mask", Image)
+        camera = Camera(probe, "/slots/image_raw")
+        forth = list(moving_square(30))
+        ground = np.minimum.reduce(forth)  # the square is brighter
+        stamps = camera.play([*forth, *[ground] * 20, *forth[::-1]])
+        wait_for_answers(probe, labels, stamps)
+        probe.wait_for(lambda: len(slots) == len(stamps), "all slot masks")
+        assert node.stop(signal.SIGINT) == 0
+    ids = [np.unique(image_from_message(label)).tolist()[1:] for label in labels]
+    assert ids[20:28] == [[1]] * 8
+    assert ids[45:50] == [[]] * 5
+    assert ids[70:78] == [[2]] * 8
+    for label, mask in zip(labels, slots, strict=True):
+        held = image_from_message(mask) > 0
+        np.testing.assert_array_equal(held, image_from_message(label) > 0)
 
 
 def test_an_unknown_parameter_is_warned_about(tmp_path, probe):
