@@ -9,7 +9,7 @@ VENV_FLAGS := $(if $(SOURCED_ROS),--system-site-packages)
 EXTRAS := bags,test,lint,colcon$(if $(SOURCED_ROS),,$(comma)wheels)
 CONSTRAINTS := $(if $(SOURCED_ROS),,-c constraints.txt)
 
-.PHONY: venv demo test bench soak lint clean
+.PHONY: venv demo test bench figures soak lint clean
 
 venv: .venv/complete
 
@@ -33,6 +33,14 @@ test: lint .venv/learning
 # What a frame takes, in one run with rivals and a yardstick; figures in out/benchmark.json.
 bench: venv
 	$(BIN)/python -m turbseg_ros.cli benchmark --json out/benchmark.json
+
+# What the README shows under "How well": tables on the terminal, pictures in docs/images.
+figures: venv
+	$(BIN)/python -m turbseg_ros.cli evaluate bags/* --rivals mog2,knn,paper --report out/report
+	$(BIN)/python -m turbseg_ros.cli evaluate bags/normal bags/thermal --rivals mog2,knn,paper \
+		--tilt-curve 0,0.5,1,2 --shake-curve 0,2,4 --curves docs/images
+	rm -rf out/severe
+	$(BIN)/python -m turbseg_ros.cli replay bags/severe -o out/severe --overlay docs/images/severe.jpg
 
 # What takes minutes: floods, long runs, thousands of random messages.
 soak: venv

@@ -22,7 +22,7 @@ from turbseg_ros.overlay import (
     evenly_spaced,
     outlines,
     to_bgr8,
-    write_png,
+    write_picture,
 )
 from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResult
 
@@ -128,6 +128,11 @@ def test_a_strip_without_frames_is_an_error() -> None:
 
 def test_picture_is_written_as_it_is(tmp_path: Path) -> None:
     picture = Canvas.of(np.arange(256, dtype=np.uint8).reshape(16, 16)).image
-    write_png(tmp_path / "picture.png", picture)
+    write_picture(tmp_path / "picture.png", picture)
     np.testing.assert_array_equal(cv2.imread(str(tmp_path / "picture.png")), picture)
     assert [entry.name for entry in tmp_path.iterdir()] == ["picture.png"]
+
+
+def test_a_picture_called_jpg_is_one(tmp_path: Path) -> None:
+    write_picture(tmp_path / "picture.jpg", np.full((16, 16, 3), 90, np.uint8))
+    assert (tmp_path / "picture.jpg").read_bytes().startswith(b"\xff\xd8")

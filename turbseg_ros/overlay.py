@@ -220,12 +220,12 @@ def to_bgr8(image: Image, tone: ToneMap | None = None) -> npt.NDArray[np.uint8]:
     return picture.copy() if picture is image else picture
 
 
-def write_png(path: Path, picture: npt.NDArray[np.uint8]) -> None:
-    """Write a picture under its name when it is complete.
+def write_picture(path: Path, picture: npt.NDArray[np.uint8]) -> None:
+    """Write a picture under its name when it is complete: JPEG for `.jpg`, else PNG.
 
     :raises OSError: when the file can't be written; an older one then stays as it was.
     """
-    _, encoded = cv2.imencode(".png", picture)
+    _, encoded = cv2.imencode(".jpg" if path.suffix.lower() == ".jpg" else ".png", picture)
     partial = path.with_name(f".{path.name}.partial")
     try:
         partial.write_bytes(encoded.tobytes())

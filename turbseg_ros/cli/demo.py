@@ -43,7 +43,7 @@ from turbseg_ros.evaluation.labels import (
 )
 from turbseg_ros.evaluation.replay import BagFrames
 from turbseg_ros.evaluation.scores import Table, write_json
-from turbseg_ros.overlay import OverlayStrip, write_png
+from turbseg_ros.overlay import OverlayStrip, write_picture
 from turbseg_ros.parameters import Parameters
 from turbseg_ros.ros.messages import CentroidMarkers, outputs
 
@@ -219,7 +219,7 @@ def _draw(frames: BagFrames, products: _Products) -> int:
             unanswered += 1
             labels = np.zeros(frame.image.shape[:2], np.uint16)
         strip.add(result_from_labels(frame, labels))
-    write_png(products.overlay, strip.picture())
+    write_picture(products.overlay, strip.picture())
     return unanswered
 
 

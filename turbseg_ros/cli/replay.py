@@ -14,7 +14,7 @@ from turbseg_ros.cli.errors import executable
 from turbseg_ros.cli.options import add_parameter_options, parameters_from, with_progress
 from turbseg_ros.evaluation.replay import BagFrames, segment
 from turbseg_ros.factory import motion_segmenter
-from turbseg_ros.overlay import OverlayStrip, write_png
+from turbseg_ros.overlay import OverlayStrip, write_picture
 from turbseg_ros.ros.messages import CentroidMarkers, Output, outputs, slot_output
 from turbseg_ros.segmentation.frame import SegmentationResult
 
@@ -66,7 +66,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if not count:
             raise BagError(f"{reader.path}: none of {len(frames)} images could be read")
     if options.overlay is not None:
-        write_png(options.overlay, strip.picture())
+        write_picture(options.overlay, strip.picture())
     print(f"{options.out}: {count} results, {frames.skipped} images skipped")
     return 0
 
@@ -84,7 +84,10 @@ def _parser() -> argparse.ArgumentParser:
         "--image-topic", metavar="T", help="images to segment, where the bag has several topics"
     )
     parser.add_argument(
-        "--overlay", type=Path, metavar="PNG", help="also draw nine frames with what was found"
+        "--overlay",
+        type=Path,
+        metavar="PICTURE",
+        help="also draw nine frames with what was found, as PNG or .jpg",
     )
     add_parameter_options(parser)
     return parser
