@@ -164,8 +164,8 @@ def difference_from(background: Background, image: Image) -> Map:
 
     :param image: hxwxC, the same part of the reference frame.
     """
-    difference: Map = np.abs(image.astype(np.float32) - background.median).max(axis=2)
-    return difference
+    difference = cv2.absdiff(image.astype(np.float32), background.median)
+    return largest(difference.reshape(image.shape))
 
 
 def deviation_from(background: Background, image: Image, tilt: float) -> Map:
@@ -182,9 +182,19 @@ def deviation_from(background: Background, image: Image, tilt: float) -> Map:
     )
     noise = np.maximum(background.spread, max(usual, _LEAST_NOISE))
     shimmer = _slope(background.median) * max(tilt, _LEAST_TILT)
-    difference = np.abs(image.astype(np.float32) - background.median)
-    deviation: Map = (difference / np.sqrt(noise**2 + shimmer**2)).max(axis=2)
-    return deviation
+    difference = cv2.absdiff(image.astype(np.float32), background.median)
+    return largest(difference.reshape(image.shape) / np.sqrt(noise**2 + shimmer**2))
+
+
+def largest(values: Map) -> Map:
+    """Give the largest of each pixel's channels, hxw."""
+    # NumPy's maximum along the last axis, which is short, takes forty times as long.
+    return functools.reduce(np.maximum, np.moveaxis(values, 2, 0))
+
+
+def smallest(values: Map) -> Map:
+    """Give the smallest of each pixel's channels, hxw."""
+    return functools.reduce(np.minimum, np.moveaxis(values, 2, 0))
 
 
 def _slope(picture: Map) -> Map:

@@ -18,6 +18,8 @@ Matrix = npt.NDArray[np.float64]
 _GRID = 8
 _SAMPLES = 2000
 _REWEIGHTINGS = 6
+# Pixels by which a reweighting must still change the flow somewhere to be followed by another.
+_SETTLED = 2e-3
 # Tukey's biweight reaches 95 % efficiency at this many standard deviations.
 _TUKEY = 4.685
 _MAD_TO_SIGMA = 1.4826
@@ -53,6 +55,7 @@ def fit_affine_flow(flow: Flow, weights: npt.NDArray[np.float32]) -> npt.NDArray
     basis = np.column_stack([np.ones(len(points)), points.astype(np.float64)])
     coefficients = np.zeros((3, 2))
     coefficients[0] = np.median(samples, axis=0)
+    reach = np.array([[1.0], [flow.shape[1]], [flow.shape[0]]])
     for _ in range(_REWEIGHTINGS):
         residual = samples - basis @ coefficients
         squared = residual[:, 0] ** 2 + residual[:, 1] ** 2
@@ -60,7 +63,10 @@ def fit_affine_flow(flow: Flow, weights: npt.NDArray[np.float32]) -> npt.NDArray
         variance = max(float(np.median(squared)) / 1.177**2, 1e-6)
         trust = np.maximum(1.0 - squared / (_TUKEY**2 * variance), 0.0) ** 2
         weighted = basis * trust[:, None]
+        before = coefficients
         _, coefficients = cv2.solve(weighted.T @ basis, weighted.T @ samples, flags=cv2.DECOMP_SVD)
+        if np.abs((coefficients - before) * reach).max() < _SETTLED:
+            break
     return np.asarray(coefficients)
 
 

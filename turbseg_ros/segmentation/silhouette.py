@@ -16,6 +16,8 @@ from turbseg_ros.segmentation.background import (
     background_in,
     deviation_from,
     difference_from,
+    largest,
+    smallest,
 )
 from turbseg_ros.segmentation.motion import MotionEstimate
 from turbseg_ros.segmentation.region_growing import Region, Seed
@@ -201,7 +203,8 @@ def standing_out(
     if np.count_nonzero(moving & ~background.known) > _OPEN * np.count_nonzero(moving):
         cut = _cut_by_colour(background, image, score, area)
         score = np.where(background.known, score, np.where(cut, 1.0, -1.0)).astype(np.float32)
-    grey = image.astype(np.float32).mean(axis=2) / 255.0
+    channels = image.shape[2]
+    grey = cv2.transform(image.astype(np.float32), np.full((1, channels), 1 / (255 * channels)))
     score = guided_filter(grey, score, radius=2, epsilon=1e-3)
     return _filled((score > 0.0) & moving)
 
@@ -243,7 +246,7 @@ def without_shadow(mask: Mask, image: Image, background: Background) -> Mask:
     difference = cv2.blur(difference_from(background, image), (3, 3))
     usual = float(np.percentile(difference[mask], 80))
     light = (image.astype(np.float32) + 1.0) / (background.median + 1.0)
-    least, most = light.min(axis=2), light.max(axis=2)
+    least, most = smallest(light), largest(light)
     darkened = (least > _SHADOW_LIGHT[0]) & (most < _SHADOW_LIGHT[1])
     same_colour = most - least < _SHADOW_COLOUR
     faint = difference < _SHADOW_CONTRAST * usual

@@ -16,10 +16,11 @@ from turbseg_ros.segmentation.geometry import pixel_grid
 
 Matrix = npt.NDArray[np.float64]
 GreyImage = npt.NDArray[np.uint8]
+Points = npt.NDArray[np.float32]
 
 _CORNERS = 400
 # The translation is a good guess: what is left fits into a small pyramid.
-_PYRAMID_LEVELS = 2
+_LK_WINDOW, _LK_LEVELS = (11, 11), 2
 _FEWEST_CORNERS = 12
 _RANSAC_REPROJECTION_PIXELS = 1.0
 # Two pictures have nothing in common when the peak of their phase correlation, times the root of
@@ -64,10 +65,11 @@ def register_affine(source: GreyImage, target: GreyImage) -> Matrix | None:
     picture carries too few corners, or they agree on nothing a camera could do, the translation
     stands. None when the pictures have nothing in common: a cut, a covered lens, a torn frame.
     """
+    # Half of the resolution tells as well what to follow, and about where it has gone.
     size = (source.shape[1] // 2, source.shape[0] // 2)
     halves = [cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in (source, target)]
     coarse, peak = phase_correlation(*halves)
-    affine = _affine_of_corners(source, target, 2.0 * coarse[:2, 2])
+    affine = _affine_of_corners(source, target, _corners(halves[0]), 2.0 * coarse[:2, 2])
     if affine is None or np.abs(affine[:, :2] - np.eye(2)).max() > _LARGEST_CHANGE_OF_SHAPE:
         found, _ = phase_correlation(source, target)
     else:
@@ -78,24 +80,31 @@ def register_affine(source: GreyImage, target: GreyImage) -> Matrix | None:
     return found
 
 
+def _corners(half: GreyImage) -> Points:
+    """Find corners in a picture of half the size; give them in pixels of the whole, Nx1x2."""
+    corners = cv2.goodFeaturesToTrack(half, _CORNERS, qualityLevel=0.01, minDistance=4)
+    if corners is None:
+        return np.zeros((0, 1, 2), np.float32)
+    # The middles of both pictures' first pixels lie apart.
+    return 2.0 * corners.reshape(-1, 1, 2).astype(np.float32) + np.float32(0.5)
+
+
 def _affine_of_corners(
-    source: GreyImage, target: GreyImage, shift: npt.NDArray[np.float64]
+    source: GreyImage, target: GreyImage, corners: Points, shift: npt.NDArray[np.float64]
 ) -> Matrix | None:
     """Give the 2x3 transform that most corners agree on; None when they are too few.
 
     :param shift: about how far `source` has moved to become `target`, (x, y).
     """
-    corners = cv2.goodFeaturesToTrack(source, _CORNERS, qualityLevel=0.01, minDistance=8)
-    if corners is None or len(corners) < _FEWEST_CORNERS:
+    if len(corners) < _FEWEST_CORNERS:
         return None
-    corners = corners.reshape(-1, 1, 2).astype(np.float32)
     followed, found, _ = cv2.calcOpticalFlowPyrLK(
         source,
         target,
         corners,
         corners + shift.astype(np.float32),
-        winSize=(15, 15),
-        maxLevel=_PYRAMID_LEVELS,
+        winSize=_LK_WINDOW,
+        maxLevel=_LK_LEVELS,
         flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
     )
     kept = found.ravel() == 1
