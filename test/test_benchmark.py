@@ -21,7 +21,9 @@ from turbseg_ros.evaluation.benchmark import (
 from turbseg_ros.evaluation.rivals import BackgroundSubtraction, Method
 from turbseg_ros.parameters import Parameters
 
-SMALL = Parameters().replace({"resolution.processing": 160, "resolution.detail": 160})
+SMALL = Parameters().replace(
+    {"resolution.processing": 160, "resolution.detail": 160, "latency.warm_up": 0}
+)
 
 
 @dataclass(frozen=True)
