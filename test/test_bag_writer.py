@@ -151,6 +151,25 @@ def test_a_file_that_cannot_grow_is_one_line_and_leaves_nothing(tmp_path, small_
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("missing", [1, 9, 300, 700, 1500])
+def test_a_disk_that_fills_up_at_the_very_end_leaves_nothing(tmp_path, missing):
+    def write(name):
+        with BagWriter(tmp_path / name) as writer:
+            for i in range(20):
+                writer.write("/camera/image_raw", camera_image(i, i), i)
+
+    write("whole")
+    size = (tmp_path / "whole" / "whole_0.mcap").stat().st_size
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size - missing, hard))
+    try:
+        with pytest.raises(BagError, match=r"cannot write .*full_: File too large"):
+            write("full_")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert [path.name for path in tmp_path.iterdir()] == ["whole"]
+
+
 def test_a_place_that_cannot_be_written_is_one_line(tmp_path):
     (tmp_path / "file").touch()
     with (

@@ -139,6 +139,28 @@ def test_an_unreadable_image_is_left_out_and_reported(
     assert "7 results, 1 images skipped" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("metadata", [True, False])
+def test_a_cut_recording_is_replayed_as_far_as_it_goes_and_the_loss_told(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    caplog: pytest.LogCaptureFixture,
+    metadata: bool,
+) -> None:
+    bag = write_bag(tmp_path / "bag", frames=400)
+    file = bag / "bag_0.mcap"
+    file.write_bytes(file.read_bytes()[: file.stat().st_size * 8 // 10])
+    if not metadata:
+        (bag / "metadata.yaml").unlink()
+    assert replay.main([str(bag), "-o", str(tmp_path / "out")]) == 0
+    count = BagReader(tmp_path / "out").topics[LABELS_TOPIC].message_count
+    assert 100 < count < 400
+    printed = capsys.readouterr().out
+    assert f"{count} results, 0 images skipped" in printed
+    assert (f"{400 - count} images lost with what is damaged" in printed) == metadata
+    assert "is truncated" in caplog.text
+    assert ("how many messages are lost is not recorded" in caplog.text) != metadata
+
+
 def test_nothing_is_written_when_no_image_can_be_read(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

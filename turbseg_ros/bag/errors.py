@@ -2,10 +2,34 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
+from pathlib import Path
+
+# What a name from a bag may take up of an error's text.
+_LONGEST = 1000
+
 
 class BagError(Exception):
-    """A bag that can't be read or written; the text is one line: which, why, what to do."""
+    """A bag that can't be read or written; the text is one line: which, why, what to do.
+
+    Names in it may come from the bag: what a terminal would obey is written out.
+    """
+
+    def __init__(self, text: str) -> None:
+        line = " ".join(text.split())
+        shown = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line[:_LONGEST])
+        super().__init__(shown + "..." * (len(line) > _LONGEST))
 
 
 class ClipError(BagError):
     """Video or images that can't be made a bag; the text is one line: which, why, what to do."""
+
+
+@contextlib.contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Make what the operating system refuses a `BagError` that names the file, or else `path`."""
+    try:
+        yield
+    except OSError as error:
+        raise BagError(f"{error.filename or path}: {error.strerror or error}") from error

@@ -10,6 +10,7 @@ from rclpy.duration import Duration
 from rclpy.qos import (
     DurabilityPolicy,
     HistoryPolicy,
+    InvalidQoSProfileException,
     LivelinessPolicy,
     QoSProfile,
     ReliabilityPolicy,
@@ -53,8 +54,12 @@ def from_yaml(text: str) -> tuple[QoSProfile, ...]:
     try:
         entries = yaml.safe_load(text) or []
         return tuple(_from_metadata(entry) for entry in entries)
-    except (yaml.YAMLError, KeyError, TypeError, AttributeError) as error:
-        raise ValueError(f"no QoS profiles: {error}") from error
+    except (
+        *(yaml.YAMLError, KeyError, TypeError, AttributeError),
+        # rclpy's own checks, and numbers that no profile can hold.
+        *(AssertionError, InvalidQoSProfileException, OverflowError, ValueError, RecursionError),
+    ) as error:
+        raise ValueError("QoS profiles that can't be read") from error
 
 
 def _from_metadata(entry: Mapping[str, Any]) -> QoSProfile:

@@ -2,47 +2,40 @@
 
 from __future__ import annotations
 
-import contextlib
 import heapq
-import io
-import struct
+import logging
+import re
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import yaml
-import zstandard
-from mcap.exceptions import McapError
-from mcap.reader import SeekingReader
-from mcap.records import Channel, Schema, Statistics
-from mcap.summary import Summary
-from mcap.writer import MCAP0_MAGIC
+from mcap.records import Channel
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 
 from turbseg_ros.bag import qos as qos_format
-from turbseg_ros.bag.errors import BagError
+from turbseg_ros.bag.errors import BagError, reading
+from turbseg_ros.bag.mcap_file import MOST_MESSAGES, McapFile, open_mcap
 from turbseg_ros.bag.schema import message_class
 from turbseg_ros.bag.topics import TRUTH_NAMESPACE
 
-_IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
+_LOGGER = logging.getLogger(__name__)
 
-# What the MCAP library raises on damaged content.
-_DAMAGE = (
-    McapError,
-    zstandard.ZstdError,
-    struct.error,
-    ValueError,
-    KeyError,
-    OverflowError,
-    MemoryError,
-)
+_IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
+# How rosbag2 names the files that it splits a recording into.
+_SPLIT_NAME = re.compile(r"(?P<stem>.+)_(?P<number>\d+)\.mcap")
+# A metadata.yaml of a thousand topics is smaller than this, in bytes.
+_LARGEST_METADATA = 2**24
 
 
 @dataclass(frozen=True)
 class Topic:
-    """A recorded topic; `qos` are the profiles that its publishers offered, if recorded."""
+    """A recorded topic; `qos` are the profiles that its publishers offered, if recorded.
+
+    `message_count` is what the bag states; where it is damaged, fewer can be read.
+    """
 
     name: str
     type_name: str
@@ -81,27 +74,39 @@ class Record:
             raise BagError(f"{self.topic}: damaged {self.type_name} ({error})") from error
 
 
-@dataclass(frozen=True)
-class _McapFile:
-    """One file of a bag, with the summary at its end."""
-
-    path: Path
-    summary: Summary
-    statistics: Statistics
-
-
 class BagReader:
     """A recorded bag: a rosbag2 directory, or a single MCAP file.
 
-    Only the summary is read at first; messages are read chunk by chunk when asked for.
+    Only the index is read at first; messages are read chunk by chunk when asked for. A file that
+    was cut, or whose index is damaged, is gone through instead: what its whole chunks hold is
+    read, and a warning is logged.
 
-    :raises BagError: when there is no such bag, or it isn't one, or it is cut or damaged.
+    :raises BagError: when there is no such bag, or it isn't one, or nothing of it can be saved.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._files = [_open(file) for file in _storage_files(path)]
+        with reading(path):
+            information = _information(path)
+            self._files = [open_mcap(file) for file in _storage_files(path, information)]
         self._topics = _merged_topics(self._files)
+        self._report_damage(_stated_counts(information))
+
+    def _report_damage(self, stated: Mapping[str, int]) -> None:
+        """Warn of damaged files; take what metadata.yaml states for what was recorded."""
+        damaged = [file for file in self._files if file.damage is not None]
+        for file in damaged:
+            _LOGGER.warning("%s %s", file.path, file.damage)
+        if not any(file.lossy for file in damaged):
+            return
+        for name, topic in self._topics.items():
+            count = max(topic.message_count, stated.get(name, 0))
+            self._topics[name] = replace(topic, message_count=count)
+        written, left = sum(stated.values()), sum(file.message_count for file in self._files)
+        if written >= left:
+            _LOGGER.warning("%s: %d messages of %d are lost", self.path, written - left, written)
+        else:
+            _LOGGER.warning("%s: how many messages are lost is not recorded", self.path)
 
     @property
     def topics(self) -> Mapping[str, Topic]:
@@ -111,9 +116,9 @@ class BagReader:
     @property
     def duration_ns(self) -> int:
         """Nanoseconds from the first message to the last."""
-        filled = [file.statistics for file in self._files if file.statistics.message_count]
-        start = min((statistics.message_start_time for statistics in filled), default=0)
-        return max((statistics.message_end_time for statistics in filled), default=0) - start
+        filled = [file for file in self._files if file.message_count]
+        start = min((file.start_ns for file in filled), default=0)
+        return max((file.end_ns for file in filled), default=0) - start
 
     def find_image_topic(self, requested: str | None = None) -> str:
         """Give the topic whose images are to be segmented.
@@ -146,38 +151,25 @@ class BagReader:
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Record]:
         """Give the messages of `topics`, of all by default, in the order they were recorded.
 
-        Memory holds no more than the chunks that overlap in time.
+        Memory holds no more than the chunks that overlap in time. Chunks that turn out to be
+        damaged are left out, with a warning.
 
-        :raises BagError: when the bag turns out to be damaged; what came before is sound.
+        :raises BagError: when a file can't be read any more; what came before is sound.
         """
         streams = [_read(file, topics) for file in self._files]
         return heapq.merge(*streams, key=lambda record: record.stamp_ns)
 
 
-def _storage_files(path: Path) -> list[Path]:
-    if path.is_file():
-        return [path]
-    if not path.exists():
-        raise BagError(f"no such bag: {path}")
+def _information(path: Path) -> Mapping[str, Any] | None:
+    """Give what a bag's metadata.yaml says, None when it has none."""
     metadata = path / "metadata.yaml"
-    if metadata.is_file():
-        return _listed_files(path, _information(metadata))
-    found = sorted(path.glob("*.mcap"))
-    if len(found) == 1:
-        return found
-    if any(path.glob("*.db3")):
-        raise _sqlite_error(path)
-    raise BagError(
-        f"{path} is not a bag: it has no metadata.yaml and {len(found) or 'no'} .mcap files"
-    )
-
-
-def _information(metadata: Path) -> Mapping[str, Any]:
+    if not metadata.is_file():
+        return None
     try:
+        if metadata.stat().st_size > _LARGEST_METADATA:
+            raise BagError(f"{metadata} is too large: {metadata.stat().st_size} bytes")
         information = yaml.safe_load(metadata.read_text())["rosbag2_bagfile_information"]
-    except OSError as error:
-        raise BagError(f"{metadata}: {error.strerror or error}") from error
-    except (yaml.YAMLError, KeyError, TypeError, ValueError) as error:
+    except (yaml.YAMLError, KeyError, TypeError, ValueError, RecursionError) as error:
         raise BagError(
             f"{metadata} is damaged; remove it or rebuild it with 'ros2 bag reindex'"
         ) from error
@@ -186,26 +178,77 @@ def _information(metadata: Path) -> Mapping[str, Any]:
     return information
 
 
+def _storage_files(path: Path, information: Mapping[str, Any] | None) -> list[Path]:
+    if path.is_file():
+        return [path]
+    if not path.exists():
+        raise BagError(f"no such bag: {path}")
+    if information is not None:
+        return _listed_files(path, information)
+    names = [entry.name for entry in path.iterdir()]
+    found = sorted(name for name in names if name.endswith(".mcap"))
+    if len(found) == 1:
+        return [path / found[0]]
+    parts = _parts_of_one_recording(found)
+    if parts:
+        return [path / name for name in parts]
+    if any(name.endswith(".db3") for name in names):
+        raise _sqlite_error(path)
+    raise BagError(
+        f"{path} is not a bag: it has no metadata.yaml and {len(found) or 'no'} .mcap files"
+    )
+
+
+def _parts_of_one_recording(names: Iterable[str]) -> list[str]:
+    """Order the files of a recording that was split and not ended; none when they aren't that."""
+    numbered = {}
+    stems = set()
+    for name in names:
+        match = _SPLIT_NAME.fullmatch(name)
+        if match is None:
+            return []
+        stems.add(match["stem"])
+        numbered[int(match["number"])] = name
+    if len(stems) != 1 or sorted(numbered) != list(range(len(numbered))):
+        return []
+    return [numbered[number] for number in sorted(numbered)]
+
+
 def _listed_files(directory: Path, information: Mapping[str, Any]) -> list[Path]:
     storage = information.get("storage_identifier")
     if storage == "sqlite3":
         raise _sqlite_error(directory)
     if storage != "mcap":
-        raise BagError(f"{directory} is stored as {storage}; only mcap can be read")
+        kind = storage if isinstance(storage, str) else "something unnamed"
+        raise BagError(f"{directory} is stored as {kind}; only mcap can be read")
     if information.get("compression_mode"):
         raise BagError(
-            f"{directory} is compressed by rosbag2 (mode {information['compression_mode']}); "
+            f"{directory} is compressed by rosbag2 (its compression_mode is set); "
             "convert it with 'ros2 bag convert' to plain mcap, which compresses by itself"
         )
     names = information.get("relative_file_paths")
-    if not isinstance(names, list) or not names:
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        names = []
+    # Early rosbag2 wrote names that begin with the directory's own; nothing else lies outside.
+    files = [directory / Path(name).name for name in names]
+    if not files:
         raise BagError(f"{directory / 'metadata.yaml'} names no .mcap file")
-    # Early rosbag2 wrote names that begin with the directory's own.
-    files = [directory / Path(str(name)).name for name in names]
     missing = [file.name for file in files if not file.is_file()]
     if missing:
         raise BagError(f"{directory} lacks {_listed(missing)}, which its metadata.yaml names")
     return files
+
+
+def _stated_counts(information: Mapping[str, Any] | None) -> dict[str, int]:
+    """Give the messages of each topic that metadata.yaml states; nothing when it is damaged."""
+    try:
+        counts = {
+            str(entry["topic_metadata"]["name"]): int(entry["message_count"])
+            for entry in (information or {})["topics_with_message_count"]
+        }
+    except (KeyError, TypeError, ValueError, OverflowError):
+        return {}
+    return counts if all(0 <= count <= MOST_MESSAGES for count in counts.values()) else {}
 
 
 def _sqlite_error(path: Path) -> BagError:
@@ -215,35 +258,10 @@ def _sqlite_error(path: Path) -> BagError:
     )
 
 
-def _open(path: Path) -> _McapFile:
-    with _reporting_damage(path), path.open("rb") as stream:
-        _check_ends(path, stream)
-        reader = SeekingReader(stream)
-        profile = reader.get_header().profile
-        summary = reader.get_summary()
-    if profile == "ros1":
-        raise BagError(f"{path} was recorded by ROS 1; convert it with 'rosbags-convert'")
-    if summary is None or summary.statistics is None:
-        raise BagError(f"{path} has no summary; rebuild it with 'mcap recover'")
-    return _McapFile(path, summary, summary.statistics)
-
-
-def _check_ends(path: Path, stream: io.BufferedReader) -> None:
-    if stream.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
-        raise BagError(f"{path} is not a bag: it is neither an MCAP file nor a rosbag2 directory")
-    stream.seek(0, io.SEEK_END)
-    stream.seek(max(stream.tell() - len(MCAP0_MAGIC), len(MCAP0_MAGIC)))
-    if stream.read() != MCAP0_MAGIC:
-        raise BagError(
-            f"{path} is truncated: it ends before its index; save what it has by 'mcap recover'"
-        )
-    stream.seek(0)
-
-
-def _merged_topics(files: Iterable[_McapFile]) -> dict[str, Topic]:
+def _merged_topics(files: Iterable[McapFile]) -> dict[str, Topic]:
     topics: dict[str, Topic] = {}
     for file in files:
-        for channel in file.summary.channels.values():
+        for channel in file.channels.values():
             topic = _topic(file, channel)
             known = topics.get(topic.name)
             if known is None:
@@ -259,41 +277,34 @@ def _merged_topics(files: Iterable[_McapFile]) -> dict[str, Topic]:
     return topics
 
 
-def _topic(file: _McapFile, channel: Channel) -> Topic:
-    schema: Schema | None = file.summary.schemas.get(channel.schema_id)
+def _topic(file: McapFile, channel: Channel) -> Topic:
+    schema = file.schemas.get(channel.schema_id)
     if schema is None or channel.message_encoding != "cdr":
         raise BagError(
             f"{file.path}: {channel.topic} is no ROS 2 topic "
             f"(encoded as {channel.message_encoding})"
         )
-    with _reporting_damage(file.path):
-        return Topic(
-            name=channel.topic,
-            type_name=schema.name,
-            message_count=file.statistics.channel_message_counts.get(channel.id, 0),
-            qos=qos_format.from_yaml(channel.metadata.get("offered_qos_profiles", "")),
-        )
+    return Topic(
+        name=channel.topic,
+        type_name=schema.name,
+        message_count=file.counts.get(channel.id, 0),
+        qos=_recorded_qos(file, channel),
+    )
 
 
-def _read(file: _McapFile, topics: Collection[str] | None) -> Iterator[Record]:
-    # Without an index the library would sort the whole file in memory: take its own order then.
-    indexed = bool(file.summary.chunk_indexes)
-    with _reporting_damage(file.path), file.path.open("rb") as stream:
-        reader = SeekingReader(stream, validate_crcs=True)
-        for schema, channel, message in reader.iter_messages(topics, log_time_order=indexed):
-            assert schema is not None  # checked when the topics were listed
-            yield Record(channel.topic, schema.name, message.log_time, message.data)
-
-
-@contextlib.contextmanager
-def _reporting_damage(path: Path) -> Iterator[None]:
+def _recorded_qos(file: McapFile, channel: Channel) -> tuple[QoSProfile, ...]:
     try:
-        yield
-    except OSError as error:
-        raise BagError(f"{path}: {error.strerror or error}") from error
-    except _DAMAGE as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise BagError(f"{path} is damaged ({reason})") from error
+        return qos_format.from_yaml(channel.metadata.get("offered_qos_profiles", ""))
+    except ValueError as error:
+        _LOGGER.warning("%s: %s has %s", file.path, channel.topic, error)
+        return ()
+
+
+def _read(file: McapFile, topics: Collection[str] | None) -> Iterator[Record]:
+    with reading(file.path):
+        for channel, message in file.messages(topics):
+            type_name = file.schemas[channel.schema_id].name
+            yield Record(channel.topic, type_name, message.log_time, message.data)
 
 
 def _listed(names: Collection[str]) -> str:

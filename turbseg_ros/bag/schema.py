@@ -6,6 +6,7 @@ import functools
 import importlib
 import json
 import os
+import re
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +17,8 @@ from turbseg_ros.bag.errors import BagError
 # How a definition's dependencies are set apart in the ros2msg schema encoding,
 # https://mcap.dev/spec/registry#ros2msg
 _DEPENDENCY_HEADING = "=" * 80 + "\nMSG: "
+
+_TYPE_NAME = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9]*")
 
 
 @dataclass(frozen=True)
@@ -56,10 +59,12 @@ def message_class(type_name: str) -> type[Any]:
 
     :raises BagError: when no installed package has that type.
     """
+    # A bag must not name any module to be imported: only those that hold messages.
+    _interface_file(type_name, "msg")
     package, _, name = type_name.partition("/msg/")
     try:
         found: type[Any] = getattr(importlib.import_module(f"{package}.msg"), name)
-    except (ImportError, AttributeError, ValueError, TypeError) as error:
+    except (ImportError, AttributeError) as error:
         raise _not_installed(type_name) from error
     return found
 
@@ -71,6 +76,8 @@ def type_name_of(message: object) -> str:
 
 
 def _interface_file(type_name: str, suffix: str) -> str:
+    if not _TYPE_NAME.fullmatch(type_name):
+        raise _not_installed(type_name)
     for prefix in _prefixes():
         path = prefix / "share" / f"{type_name}.{suffix}"
         if path.is_file():

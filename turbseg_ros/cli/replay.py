@@ -67,7 +67,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise BagError(f"{reader.path}: none of {len(frames)} images could be read")
     if options.overlay is not None:
         write_picture(options.overlay, strip.picture())
-    print(f"{options.out}: {count} results, {frames.skipped} images skipped")
+    lost = f", {frames.lost} images lost with what is damaged" if frames.lost else ""
+    print(f"{options.out}: {count} results, {frames.skipped} images skipped{lost}")
     return 0
 
 

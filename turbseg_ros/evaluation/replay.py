@@ -27,21 +27,25 @@ class Segmenter(Protocol):
 class BagFrames:
     """The frames of a bag's image topic, in the order they were recorded.
 
-    An image that can't be read as one is warned about, counted in `skipped` and left out.
+    An image that can't be read as one is warned about, counted in `skipped` and left out; `lost`
+    counts those that the bag states and that its damaged parts no longer give.
     """
 
     def __init__(self, reader: BagReader, image_topic: str) -> None:
         self._reader = reader
         self._topic = image_topic
         self.skipped = 0
+        self.lost = 0
 
     def __len__(self) -> int:
-        """Images recorded, those that turn out unreadable included."""
+        """Images that the bag states, those that turn out unreadable or lost included."""
         return self._reader.topics[self._topic].message_count
 
     def __iter__(self) -> Iterator[Frame]:
         self.skipped = 0
+        self.lost = len(self)
         for number, record in enumerate(self._reader.messages([self._topic])):
+            self.lost -= 1
             frame = self._frame(number, record)
             if frame is not None:
                 yield frame

@@ -1,0 +1,80 @@
+"""The pipeline over more frames than a day's watch has key frames: nothing grows."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from drawn_scene import ByteImage, texture
+
+from turbseg_ros.parameters import Parameters
+from turbseg_ros.segmentation.frame import Frame
+from turbseg_ros.segmentation.pipeline import MotionSegmenter
+
+SHAPE = (64, 96)
+PARAMETERS = Parameters.from_mapping({"resolution.processing": 96})
+# A round of pictures, played again and again: a square crosses, then the scene is empty.
+ROUND, CROSSING = 48, 24
+
+
+def pictures() -> list[ByteImage]:
+    ground, square = texture(SHAPE, seed=1), texture((16, 16), seed=2, low=10, high=90)
+    images = []
+    for number in range(ROUND):
+        image = ground.copy()
+        if number < CROSSING:
+            image[20:36, 3 * number : 3 * number + 16] = square
+        noise = np.random.default_rng(number).normal(0, 2, SHAPE)
+        images.append(np.clip(image + noise, 0, 255).astype(np.uint8))
+    return images
+
+
+def frames(count: int) -> Iterator[Frame]:
+    images = pictures()
+    for number in range(count):
+        yield Frame(number * 33_000_000, images[number % ROUND])
+
+
+def resident_bytes() -> int:
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE")
+
+
+@pytest.mark.parametrize(
+    ("count", "blocks"),
+    [(480, 5), pytest.param(100_000, 20, marks=[pytest.mark.soak, pytest.mark.timeout(7200)])],
+    ids=["short", "100,000"],
+)
+def test_memory_and_time_a_frame_stay_flat(
+    count: int, blocks: int, record_property: pytest.RecordProperty
+) -> None:
+    segmenter = MotionSegmenter(PARAMETERS)
+    memory, pace, answered, highest = [], [], 0, 0
+    begun = time.process_time()
+    for number, frame in enumerate(frames(count), start=1):
+        for result in segmenter.push(frame):
+            assert result.frame.stamp == answered * 33_000_000
+            answered += 1
+            highest = max([highest, *(moving.id for moving in result.objects)])
+        if number % (count // blocks) == 0:
+            now = time.process_time()
+            memory.append(resident_bytes())
+            pace.append((now - begun) / (count // blocks))
+            begun = now
+    answered += len(segmenter.flush())
+    report = {
+        "objects": highest,
+        "MB": [round(m / 1e6, 1) for m in memory],
+        "ms a frame": [round(1e3 * p, 2) for p in pace],
+    }
+    print(report)
+    record_property("long run", str(report))
+    assert answered == count
+    assert highest >= 0.9 * count / ROUND - 1
+    # The first block fills caches and the allocator's pools.
+    assert max(memory[1:]) - memory[1] < 10e6
+    assert np.median(pace[-3:]) < 1.5 * np.median(pace[1:4])

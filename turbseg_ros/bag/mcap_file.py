@@ -1,0 +1,477 @@
+"""One MCAP file of a bag: read by its index or, where that is lost, by its whole chunks.
+
+Files come from cameras that lost power and from strangers: lengths are compared with what there
+is before anything is read or made room for, checksums are checked, and a damaged chunk costs its
+own messages only.
+"""
+
+from __future__ import annotations
+
+import heapq
+import importlib
+import io
+import logging
+import struct
+import zlib
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import BinaryIO
+
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import (
+    Channel,
+    Chunk,
+    ChunkIndex,
+    Footer,
+    Header,
+    McapRecord,
+    Message,
+    Schema,
+    Statistics,
+)
+from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.summary import Summary
+from mcap.writer import MCAP0_MAGIC
+
+from turbseg_ros.bag.errors import BagError
+
+_LOGGER = logging.getLogger(__name__)
+
+_COMPRESSIONS = ("", "zstd", "lz4")
+_RECORD_HEAD = struct.Struct("<BQ")
+_FOOTER_SIZE = _RECORD_HEAD.size + struct.calcsize("<QQI")
+# A chunk holds one message at least; 1 GiB is an uncompressed 8K picture five times over.
+_LARGEST_CHUNK = 2**30
+# More messages than any recording holds: a count beyond is damage.
+MOST_MESSAGES = 2**40
+# Later than any time that a file can state.
+_NEVER = 2**64
+# What the libraries raise on damaged content.
+_DAMAGE = (
+    McapError,
+    zstandard.ZstdError,
+    struct.error,
+    ValueError,
+    KeyError,
+    OverflowError,
+    MemoryError,
+    RuntimeError,  # of lz4
+)
+
+
+class _DamageError(ValueError):
+    """Content that can't be; the text says what."""
+
+
+@dataclass(frozen=True)
+class StoredChunk:
+    """Where a chunk lies in its file, in bytes, and what it holds.
+
+    `start_ns` is the time of its first message; `channels` are the ids of those it has messages
+    of, empty when not known.
+    """
+
+    offset: int
+    length: int
+    start_ns: int
+    channels: frozenset[int]
+
+
+@dataclass(frozen=True)
+class McapFile:
+    """What one file holds: channels and schemas by id, messages counted by channel, chunks.
+
+    Without `chunks`, messages lie in the file one by one. `damage` says what is wrong with the
+    file, None when nothing is; counts are then of what is left, and `lossy` tells whether that
+    may be less than there was.
+    """
+
+    path: Path
+    schemas: Mapping[int, Schema]
+    channels: Mapping[int, Channel]
+    counts: Mapping[int, int]
+    start_ns: int
+    end_ns: int
+    chunks: Sequence[StoredChunk]
+    damage: str | None = None
+    lossy: bool = False
+
+    @property
+    def message_count(self) -> int:
+        """Messages on all channels."""
+        return sum(self.counts.values())
+
+    def messages(self, topics: Collection[str] | None) -> Iterator[tuple[Channel, Message]]:
+        """Give the messages of `topics`, of all by default, in the order of time.
+
+        In a file without chunks they come as they lie. What is damaged is left out with a
+        warning. Memory holds no more than the chunks that overlap in time.
+
+        :raises OSError: when the file can't be read.
+        """
+        wanted = {
+            id: channel
+            for id, channel in self.channels.items()
+            if topics is None or channel.topic in topics
+        }
+        with self.path.open("rb") as stream:
+            if not self.chunks:
+                yield from _single_messages(stream, wanted)
+                return
+            for message in _in_order_of_time(self._selected(stream, wanted)):
+                yield wanted[message.channel_id], message
+
+    def _selected(
+        self, stream: BinaryIO, wanted: Collection[int]
+    ) -> Iterator[tuple[int, list[Message]]]:
+        """Give the start of each chunk, by time, and its messages on the wanted channels."""
+        spoilt: list[str] = []
+        for chunk in sorted(self.chunks, key=lambda chunk: (chunk.start_ns, chunk.offset)):
+            if chunk.channels and chunk.channels.isdisjoint(wanted):
+                continue
+            try:
+                records = _chunk_content(_read_chunk(stream, chunk.offset, chunk.length))
+            except _DAMAGE as error:
+                spoilt.append(f"at byte {chunk.offset}: {_reason(error)}")
+                continue
+            messages = [record for record in records if isinstance(record, Message)]
+            yield chunk.start_ns, [m for m in messages if m.channel_id in wanted]
+        if spoilt:
+            _LOGGER.warning(
+                "%s: %d of %d chunks are damaged and their messages lost (the first, %s)",
+                self.path,
+                len(spoilt),
+                len(self.chunks),
+                spoilt[0],
+            )
+
+
+def open_mcap(path: Path) -> McapFile:
+    """Find out what an MCAP file holds.
+
+    A file that was cut, or whose index is damaged, is gone through from its beginning.
+
+    :raises BagError: when it isn't an MCAP file of ROS 2, or nothing of it can be saved.
+    :raises OSError: when it can't be read.
+    """
+    with path.open("rb") as stream:
+        return _opened(path, stream)
+
+
+def _opened(path: Path, stream: BinaryIO) -> McapFile:
+    if stream.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
+        raise BagError(f"{path} is not a bag: it is neither an MCAP file nor a rosbag2 directory")
+    size = stream.seek(0, io.SEEK_END)
+    stream.seek(max(size - len(MCAP0_MAGIC), len(MCAP0_MAGIC)))
+    if stream.read() != MCAP0_MAGIC:
+        return _recovered(path, stream, "is truncated")
+    try:
+        first = next(_records(stream), None)
+        if first is not None and first.opcode == Opcode.HEADER:
+            _check_profile(path, Header.read(_data(first.content())))
+        summary = _summary(stream, size)
+        return _recovered(path, stream, None) if summary is None else _indexed(path, summary)
+    except _DAMAGE as error:
+        return _recovered(path, stream, f"has a damaged index ({_reason(error)})")
+
+
+def _summary(stream: BinaryIO, size: int) -> Summary | None:
+    """Read the section at the end that says what a file holds; None when it isn't complete."""
+    footer_begin = size - len(MCAP0_MAGIC) - _FOOTER_SIZE
+    stream.seek(max(footer_begin, 0))
+    footer = Footer.read(_data(stream.read(_FOOTER_SIZE)[_RECORD_HEAD.size :]))
+    if not footer.summary_start:
+        return None
+    if not len(MCAP0_MAGIC) < footer.summary_start <= footer_begin:
+        raise _DamageError(f"its summary begins at byte {footer.summary_start}")
+    stream.seek(footer.summary_start)
+    section = stream.read(size - footer.summary_start)
+    # The checksum covers all up to itself.
+    checked = section[: footer_begin - footer.summary_start + _FOOTER_SIZE - 4]
+    if footer.summary_crc and zlib.crc32(checked) != footer.summary_crc:
+        raise _DamageError("its checksum is wrong")
+    summary = Summary()
+    for record in StreamReader(io.BytesIO(section), skip_magic=True).records:
+        if isinstance(record, Statistics):
+            summary.statistics = record
+        elif isinstance(record, Schema):
+            summary.schemas[record.id] = record
+        elif isinstance(record, Channel):
+            summary.channels[record.id] = record
+        elif isinstance(record, ChunkIndex):
+            summary.chunk_indexes.append(record)
+    statistics = summary.statistics
+    if statistics is None or len(summary.chunk_indexes) != statistics.chunk_count:
+        return None
+    return summary
+
+
+def _check_profile(path: Path, header: Header) -> None:
+    if header.profile == "ros1":
+        raise BagError(f"{path} was recorded by ROS 1; convert it with 'rosbags-convert'")
+
+
+def _indexed(path: Path, summary: Summary) -> McapFile:
+    statistics = summary.statistics
+    assert statistics is not None  # asked before
+    counts = dict(statistics.channel_message_counts)
+    if (
+        sum(counts.values()) != statistics.message_count
+        or statistics.message_count > MOST_MESSAGES
+    ):
+        raise _DamageError("its counts contradict one another")
+    if not counts.keys() <= summary.channels.keys():
+        raise _DamageError("it counts messages of channels that it doesn't name")
+    compressions = {index.compression for index in summary.chunk_indexes}
+    if compressions and compressions.isdisjoint(_COMPRESSIONS):
+        raise BagError(
+            f"{path} is compressed by {', '.join(map(repr, sorted(compressions)))}; "
+            "only zstd and lz4 can be read"
+        )
+    return McapFile(
+        path=path,
+        schemas=summary.schemas,
+        channels=summary.channels,
+        counts=counts,
+        start_ns=statistics.message_start_time,
+        end_ns=statistics.message_end_time,
+        chunks=[
+            StoredChunk(
+                index.chunk_start_offset,
+                index.chunk_length,
+                index.message_start_time,
+                frozenset(index.message_index_offsets),
+            )
+            for index in summary.chunk_indexes
+        ],
+    )
+
+
+@dataclass
+class _Census:
+    """What has been found in a file that is gone through."""
+
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    counts: Counter[int] = field(default_factory=Counter)
+    start_ns: int = _NEVER
+    end_ns: int = 0
+    chunks: list[StoredChunk] = field(default_factory=list)
+    # Records that are there but can't be read, and why the first can't.
+    spoilt: int = 0
+    first_fault: str = ""
+
+    def take(self, record: McapRecord) -> None:
+        if isinstance(record, Schema):
+            self.schemas[record.id] = record
+        elif isinstance(record, Channel):
+            self.channels[record.id] = record
+        elif isinstance(record, Message):
+            self.counts[record.channel_id] += 1
+            self.start_ns = min(self.start_ns, record.log_time)
+            self.end_ns = max(self.end_ns, record.log_time)
+
+    def take_chunk(self, offset: int, content: bytes) -> None:
+        chunk = Chunk.read(_data(content))
+        records = _chunk_content(chunk)
+        messages = [record for record in records if isinstance(record, Message)]
+        for record in records:
+            self.take(record)
+        self.chunks.append(
+            StoredChunk(
+                offset,
+                _RECORD_HEAD.size + len(content),
+                chunk.message_start_time,
+                frozenset(message.channel_id for message in messages),
+            )
+        )
+
+
+def _recovered(path: Path, stream: BinaryIO, fault: str | None) -> McapFile:
+    """Go through a file without an index; `fault` says why it has none, unless none was written.
+
+    :raises BagError: when a faulty file has nothing that is whole.
+    """
+    census = _Census()
+    end = len(MCAP0_MAGIC)
+    ended = False
+    for raw in _records(stream):
+        ended = raw.opcode == Opcode.DATA_END
+        try:
+            if raw.opcode == Opcode.CHUNK:
+                census.take_chunk(raw.begin, raw.content())
+            elif raw.opcode in _PLAIN_RECORDS:
+                record = _PLAIN_RECORDS[raw.opcode](raw.content())
+                if isinstance(record, Header):
+                    _check_profile(path, record)
+                census.take(record)
+        except _DAMAGE as error:
+            census.spoilt += 1
+            census.first_fault = census.first_fault or f"at byte {raw.begin}: {_reason(error)}"
+        end = raw.end
+    lost = 0 if ended else stream.seek(0, io.SEEK_END) - end
+    if fault is not None and not census.counts:
+        raise BagError(f"{path} {fault}, and nothing of it can be saved: no whole chunk is left")
+    known = {id: count for id, count in census.counts.items() if id in census.channels}
+    return McapFile(
+        path=path,
+        schemas=census.schemas,
+        channels=census.channels,
+        counts=known,
+        start_ns=census.start_ns,
+        end_ns=census.end_ns,
+        chunks=census.chunks,
+        damage=_told(fault, census, lost) if fault or not ended or census.spoilt else None,
+        lossy=bool(not ended or census.spoilt),
+    )
+
+
+def _told(fault: str | None, census: _Census, lost: int) -> str:
+    found = sum(census.counts.values())
+    where = f"its {len(census.chunks)} whole chunks" if census.chunks else "what is whole of it"
+    return (
+        f"{fault or 'is damaged'}; {found} messages in {where} are read"
+        + (f", {lost} bytes behind them are lost" if lost else "")
+        + (
+            f", {census.spoilt} damaged records too ({census.first_fault})"
+            if census.spoilt
+            else ""
+        )
+    )
+
+
+@dataclass(frozen=True)
+class _RawRecord:
+    """A record that is whole, from byte `begin` of its file to before byte `end`."""
+
+    stream: BinaryIO
+    begin: int
+    end: int
+    opcode: int
+
+    def content(self) -> bytes:
+        """Read what is behind its head."""
+        length = self.end - self.begin - _RECORD_HEAD.size
+        if length > _LARGEST_CHUNK:
+            raise _DamageError(f"it is {length} bytes long")
+        self.stream.seek(self.begin + _RECORD_HEAD.size)
+        return self.stream.read(length)
+
+
+def _records(stream: BinaryIO) -> Iterator[_RawRecord]:
+    """Go through the whole records of a file's data.
+
+    It ends with the data's end, or where a record is longer than the rest of the file.
+    """
+    size = stream.seek(0, io.SEEK_END)
+    offset = len(MCAP0_MAGIC)
+    while True:
+        stream.seek(offset)
+        head = stream.read(_RECORD_HEAD.size)
+        if len(head) < _RECORD_HEAD.size:
+            return
+        opcode, length = _RECORD_HEAD.unpack(head)
+        end = offset + _RECORD_HEAD.size + length
+        if opcode == 0 or end > size:
+            return
+
+        yield _RawRecord(stream, offset, end, opcode)
+        if opcode == Opcode.DATA_END:
+            return
+        offset = end
+
+
+def _message(content: bytes) -> Message:
+    return Message.read(_data(content), len(content))
+
+
+_PLAIN_RECORDS: Mapping[int, Callable[[bytes], McapRecord]] = {
+    Opcode.HEADER: lambda content: Header.read(_data(content)),
+    Opcode.SCHEMA: lambda content: Schema.read(_data(content)),
+    Opcode.CHANNEL: lambda content: Channel.read(_data(content)),
+    Opcode.MESSAGE: _message,
+}
+
+
+def _single_messages(
+    stream: BinaryIO, wanted: Mapping[int, Channel]
+) -> Iterator[tuple[Channel, Message]]:
+    for raw in _records(stream):
+        if raw.opcode != Opcode.MESSAGE:
+            continue
+        try:
+            message = _message(raw.content())
+        except _DAMAGE:  # told when the file was opened
+            continue
+        if message.channel_id in wanted:
+            yield wanted[message.channel_id], message
+
+
+def _in_order_of_time(chunks: Iterator[tuple[int, list[Message]]]) -> Iterator[Message]:
+    """Merge chunks that come by their start; equal times stay in the order of the file."""
+    waiting: list[tuple[int, int, Message]] = []
+    place = 0
+    for start_ns, messages in chunks:
+        while waiting and waiting[0][0] < start_ns:
+            yield heapq.heappop(waiting)[2]
+        for message in messages:
+            heapq.heappush(waiting, (message.log_time, place, message))
+            place += 1
+    while waiting:
+        yield heapq.heappop(waiting)[2]
+
+
+def _read_chunk(stream: BinaryIO, offset: int, length: int) -> Chunk:
+    if length > _LARGEST_CHUNK:
+        raise _DamageError(f"it is {length} bytes long")
+    stream.seek(offset)
+    record = stream.read(length)
+    if len(record) < _RECORD_HEAD.size or _RECORD_HEAD.unpack_from(record) != (
+        Opcode.CHUNK,
+        length - _RECORD_HEAD.size,
+    ):
+        raise _DamageError("there is no such chunk")
+    return Chunk.read(_data(record[_RECORD_HEAD.size :]))
+
+
+def _chunk_content(chunk: Chunk) -> list[McapRecord]:
+    """Give the records in a chunk, decompressed to no more than it states and checked."""
+    size = chunk.uncompressed_size
+    if size > _LARGEST_CHUNK:
+        raise _DamageError(f"it states {size} bytes of content")
+    content = _decompressed(chunk)
+    if len(content) != size:
+        raise _DamageError(f"it has {len(content)} bytes of content, not {size}")
+    if chunk.uncompressed_crc and zlib.crc32(content) != chunk.uncompressed_crc:
+        raise _DamageError("its checksum is wrong")
+    return breakup_chunk(replace(chunk, compression="", data=content))
+
+
+def _decompressed(chunk: Chunk) -> bytes:
+    size = chunk.uncompressed_size
+    if chunk.compression == "":
+        return chunk.data
+    if chunk.compression == "zstd":
+        if zstandard.frame_content_size(chunk.data) not in (-1, size):
+            raise _DamageError(f"its content isn't the {size} bytes that it states")
+        return zstandard.decompress(chunk.data, max_output_size=size)
+    if chunk.compression == "lz4":
+        # Of the MCAP library's own dependencies.
+        lz4 = importlib.import_module("lz4.frame")
+        # One byte more shows that there is more.
+        content: bytes = lz4.LZ4FrameDecompressor().decompress(chunk.data, max_length=size + 1)
+        return content
+    raise _DamageError(f"it is compressed by {chunk.compression!r}, which is not known")
+
+
+def _data(content: bytes) -> ReadDataStream:
+    return ReadDataStream(io.BytesIO(content))
+
+
+def _reason(error: BaseException) -> str:
+    return " ".join(str(error).split())[:200] or type(error).__name__
