@@ -8,7 +8,7 @@ import subprocess
 import sys
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +31,11 @@ RELIABLE = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
 BEST_EFFORT = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
 SECOND = 10**9
 PERIOD = SECOND // 30
-TIMEOUT = 20.0
+# Seconds; a busy machine takes ten times as long as an idle one.
+TIMEOUT = 40.0
+# Frames whose answers may be under way: more than the method's look-ahead, and fewer than the ten
+# that a publisher keeps for a listener that is slow.
+_MOST_UNANSWERED = 9
 
 
 class NodeProcess:
@@ -233,9 +237,30 @@ class Camera:
         self._publisher.publish(message)
         return self.stamp
 
-    def play(self, images: Iterable[npt.NDArray[Any]], encoding: str = "mono8") -> list[int]:
-        """Publish images; give their stamps."""
-        return [self.send(message_from_image(image, encoding, 0)) for image in images]
+    def play(
+        self,
+        images: Iterable[npt.NDArray[Any] | Image],
+        encoding: str = "mono8",
+        answers: Sequence[list[Any]] = (),
+    ) -> list[int]:
+        """Publish images; give their stamps.
+
+        `answers` are topics with a message for each image. They are waited for, so that a busy
+        machine never has more of them under way than their publisher keeps.
+        """
+        before = [len(topic) for topic in answers]
+        stamps: list[int] = []
+        for image in images:
+            given = isinstance(image, Image)
+            stamps.append(self.send(image if given else message_from_image(image, encoding, 0)))
+            for topic, count in zip(answers, before, strict=True):
+                self._probe.wait_for(
+                    lambda topic=topic, count=count: (
+                        len(topic) >= count + len(stamps) - _MOST_UNANSWERED
+                    ),
+                    "answers to keep up",
+                )
+        return stamps
 
     def close(self) -> None:
         """Stop publishing."""
@@ -260,7 +285,7 @@ def quick_and_soak(quick: int, soak: int) -> list[Any]:
 
 def moving_square(
     frames: int, size: tuple[int, int] = (120, 160), speed: float = 2.0
-) -> Iterable[npt.NDArray[np.uint8]]:
+) -> Iterator[npt.NDArray[np.uint8]]:
     """Yield grey frames: a still texture and, before it, a brighter square that goes right."""
     rng = np.random.default_rng(1)
     height, width = size

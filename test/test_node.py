@@ -1,5 +1,6 @@
 """The node as a process of its own, over DDS on localhost."""
 
+import itertools
 import re
 import signal
 import subprocess
@@ -115,8 +116,16 @@ def test_topics_agree_on_what_was_found(camera, labels, probe):
     overlays = probe.listen("/turbseg/overlay", Image)
     motions = probe.listen("/turbseg/motion", Image)
     everything = [labels, masks, *slots, centroids, annotations, overlays, motions]
+    camera = Camera(probe, rate=30.0)
+    images = moving_square(1000)
+    probe.wait_for(lambda: camera.play([next(images)]) and all(everything), "all topics")
+    # Whatever has moved so far ends with the stream.
+    probe.wait_for(lambda: stamps_of(labels[-1:]) == [camera.stamp], "the last answer")
+    probe.spin(0.5)
+    for topic in everything:
+        topic.clear()
 
-    stamps = camera.play(moving_square(40))
+    stamps = Camera(probe).play(moving_square(40), answers=everything)
     probe.wait_for(lambda: all(len(topic) == 40 for topic in everything), "all topics")
     for topic in (labels, masks, *slots, annotations, overlays, motions):
         assert stamps_of(topic) == stamps
@@ -157,9 +166,8 @@ def encoded(image):
 
 def test_every_encoding_is_taken_in_midstream(camera, labels, probe):
     first, second = moving_square(2)
-    stamps = []
-    for before, after in zip(encoded(first), encoded(second), strict=True):
-        stamps += [camera.send(before), camera.send(after)]
+    pairs = zip(encoded(first), encoded(second), strict=True)
+    stamps = camera.play(itertools.chain.from_iterable(pairs), answers=[labels])
     wait_for_answers(probe, labels, stamps)
     assert len(stamps) > 50
     assert {(label.width, label.height) for label in labels} == {(160, 120)}
@@ -281,20 +289,23 @@ def test_parameters_change_live_or_are_refused_with_the_reason(camera, labels, p
     assert set_parameters(probe, **restored).successful
 
 
-def test_markers_lie_on_the_unit_depth_plane_once_the_camera_is_known(camera, labels, probe):
+def test_markers_lie_on_the_unit_depth_plane_once_the_camera_is_known(node, probe):
     info = CameraInfo(width=160, height=120, k=[1000.0, 0.0, 80.0, 0.0, 1000.0, 60.0, 0, 0, 1.0])
     infos = probe.advertise("/camera_info", CameraInfo)
     centroids = probe.listen("/turbseg/centroids", MarkerArray)
-    infos.publish(info)
-    probe.spin(0.2)
-    wait_for_answers(probe, labels, camera.play(moving_square(40)))
-    balls = [
-        marker
-        for array in centroids
-        for marker in array.markers
-        if marker.action == Marker.ADD and marker.ns == "centroid"
-    ]
-    assert balls
+    camera = Camera(probe, rate=30.0)
+
+    def newest_balls():
+        infos.publish(info)
+        camera.play([next(images)])
+        newest = centroids[-1].markers if centroids else []
+        return [m for m in newest if m.action == Marker.ADD and m.ns == "centroid"]
+
+    images = moving_square(1000)
+    probe.wait_for(
+        lambda: any(ball.pose.position.z == 1.0 for ball in newest_balls()), "the unit depth"
+    )
+    balls = newest_balls()
     assert {ball.pose.position.z for ball in balls} == {1.0}
     assert all(abs(ball.pose.position.x) <= 0.08 for ball in balls)
 
@@ -349,16 +360,17 @@ def test_a_nodes_labels_are_those_of_the_replay(tmp_path, probe):
     stamps = [SECOND + number * PERIOD for number in range(40)]
     bag = write_drawn_bag(tmp_path / "bag", stamps)
     settings = [argument for argument in ARGUMENTS if argument != "-p"]
-    options = [item for setting in settings for item in ("-p", setting)]
-    assert replay([str(bag), "-o", str(tmp_path / "replayed"), *options]) == 0
+    given = [item for setting in settings for item in ("-p", setting)]
+    assert replay([str(bag), "-o", str(tmp_path / "replayed"), *given]) == 0
     replayed = BagReader(tmp_path / "replayed")
 
     remapping = ("-r", "__ns:=/twin", "-r", "image_raw:=/lens/image_raw")
     kinds = {"labels": Image, "mask": Image, "centroids": MarkerArray, "annotations": ImageMarker}
-    player = [sys.executable, "-m", "turbseg_ros.cli", "play", str(bag), "--wait", "20"]
+    player = [sys.executable, "-m", "turbseg_ros.cli", "play", str(bag), "--rate", "0.5"]
+    player += ["--wait", "20", "--topics", "/lens/image_raw"]
     with NodeProcess(tmp_path / "output", *ARGUMENTS, *remapping) as node:
         live = {name: probe.listen(f"/twin/turbseg/{name}", kind) for name, kind in kinds.items()}
-        with subprocess.Popen([*player, "--topics", "/lens/image_raw"]) as play:
+        with subprocess.Popen(player) as play:
             probe.wait_for(lambda: play.poll() is not None, "the player's end")
         for name, messages in live.items():
             probe.wait_for(lambda messages=messages: len(messages) == 40, f"all of {name}")
@@ -389,8 +401,10 @@ def test_two_nodes_in_namespaces_each_take_their_part_of_one_file(tmp_path, prob
         }
         cameras = {name: Camera(probe, f"/{name}/image_raw") for name in labels}
         stamps = {
-            "north": cameras["north"].play(moving_square(20)),
-            "south": cameras["south"].play(moving_square(20, (90, 200))),
+            "north": cameras["north"].play(moving_square(20), answers=[labels["north"]]),
+            "south": cameras["south"].play(
+                moving_square(20, (90, 200)), answers=[labels["south"]]
+            ),
         }
         for name in labels:
             wait_for_answers(probe, labels[name], stamps[name])
@@ -415,7 +429,7 @@ def test_a_slot_goes_to_the_next_object_when_its_own_has_ended(tmp_path, probe):
         camera = Camera(probe, "/slots/image_raw")
         forth = list(moving_square(30))
         ground = np.minimum.reduce(forth)  # the square is brighter
-        stamps = camera.play([*forth, *[ground] * 20, *forth[::-1]])
+        stamps = camera.play([*forth, *[ground] * 20, *forth[::-1]], answers=[labels, slots])
         wait_for_answers(probe, labels, stamps)
         probe.wait_for(lambda: len(slots) == len(stamps), "all slot masks")
         assert node.stop(signal.SIGINT) == 0

@@ -69,4 +69,4 @@ def test_each_topic_keeps_as_many_messages_as_its_output_says(probe):
     ResultPublisher(probe.node, topics)
     depths = {item.topic_name: item.qos_profile.depth for item in probe.node.publishers}
     assert {f"/probe/{output.name}": output.depth for output in topics}.items() <= depths.items()
-    assert depths["/probe/centroids"] > depths["/probe/labels"]
+    assert depths["/probe/centroids"] > depths["/probe/labels"] > depths["/probe/mask"]
