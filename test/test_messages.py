@@ -13,6 +13,7 @@ from sensor_msgs.msg import CameraInfo
 from sensor_msgs.msg import Image as ImageMessage
 from visualization_msgs.msg import ImageMarker, Marker
 
+from turbseg_ros.overlay import outlines
 from turbseg_ros.ros.image_conversion import image_from_message
 from turbseg_ros.ros.messages import (
     CentroidMarkers,
@@ -95,6 +96,30 @@ def test_mask_joins_all_objects() -> None:
     np.testing.assert_array_equal(
         pixels_of(message, np.uint8), np.where(result.labels > 0, 255, 0)
     )
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (4, 1), (1, 4), (2, 4), (300, 1)], ids=str)
+def test_the_smallest_pictures_have_masks(shape: tuple[int, int]) -> None:
+    # A row of four is what OpenCV takes a number for.
+    frame = Frame(1, np.zeros(shape, np.uint8), "camera")
+    labels = np.full(shape, 7, np.uint16)
+    found = MovingObject(7, 0, (0.0, 0.0), (0.0, 0.0), labels.size, (0, 0, shape[1], shape[0]))
+    motion = np.zeros((16, 16), np.float32)
+    result = SegmentationResult(frame, labels, (found,), motion, 0.1, "affine")
+    for message in (mask_message(result), slot_mask_message(result, 0)):
+        assert (pixels_of(message, np.uint8) == 255).all()
+    for output in (*outputs(1, CentroidMarkers()), *views()):
+        serialize_message(output.build(result))
+
+
+def test_after_65535_objects_masks_and_outlines_follow_the_label() -> None:
+    result = drawn_result((5, 5, 10, 8))
+    result.labels[result.labels > 0] = 2
+    late = replace(result.objects[0], id=65_537)
+    result = replace(result, objects=(late,))
+    slot = slot_mask_message(result, late.slot)
+    np.testing.assert_array_equal(pixels_of(slot, np.uint8), np.where(result.labels == 2, 255, 0))
+    assert len(outlines(result.labels, late)) == 1
 
 
 def test_slot_mask_holds_one_object_and_a_free_slot_none() -> None:

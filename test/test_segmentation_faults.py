@@ -178,3 +178,5 @@ def test_the_65536th_object_gets_label_1_again_and_its_own_id() -> None:
         for moving in result.objects
     }
     assert labels == {65_535: {65_535}, 65_536: {1}}
+    late = next(moving for result in results for moving in result.objects if moving.id == 65_536)
+    assert late.label == 1

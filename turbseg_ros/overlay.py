@@ -53,7 +53,7 @@ def outlines(
     """Give an object's outer contours in the image, each Nx2 (x, y) and closed."""
     x, y, width, height = moving_object.box
     window = np.ascontiguousarray(labels[y : y + height, x : x + width])
-    mask = cv2.inRange(window, moving_object.id, moving_object.id)
+    mask = (window == moving_object.label).view(np.uint8)
     contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE, offset=(x, y))
     return [contour.reshape(-1, 2) for contour in contours]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import reprlib
 import sys
 from dataclasses import dataclass
 from typing import Any
@@ -31,6 +32,10 @@ class ImageSizeError(ImageConversionError):
 
 class ImageDataError(ImageConversionError):
     """Data that do not hold what the message says."""
+
+
+class StampError(ImageConversionError):
+    """A stamp that is no time."""
 
 
 @dataclass(frozen=True)
@@ -97,9 +102,12 @@ _PLAIN = {
 def frame_from_message(message: Image | CompressedImage) -> Frame:
     """Give the frame that a camera's message holds, as the method takes it.
 
-    :raises ImageConversionError: as `image_from_message`.
+    :raises ImageConversionError: as `image_from_message`, and for a stamp whose nanoseconds make
+        a second or more, for the answers could not carry it.
     """
     header = message.header
+    if header.stamp.nanosec >= _NANOSECONDS:
+        raise StampError(f"image stamp has {header.stamp.nanosec} ns, which is a second or more")
     return Frame(stamp_to_ns(header.stamp), image_from_message(message), header.frame_id)
 
 
@@ -117,7 +125,8 @@ def image_from_message(message: Image | CompressedImage) -> npt.NDArray[Any]:
     layout = _LAYOUTS.get(message.encoding)
     if layout is None:
         raise UnknownEncodingError(
-            f"image encoding {message.encoding!r} is not supported; it takes {', '.join(_LAYOUTS)}"
+            f"image encoding {reprlib.repr(message.encoding)} is not supported; "
+            f"it takes {', '.join(_LAYOUTS)}"
         )
     stored = _native(_pixels(message, layout))
     if layout.conversion is None:
@@ -214,7 +223,7 @@ def _native(pixels: npt.NDArray[Any]) -> npt.NDArray[Any]:
 
 def _decoded(message: CompressedImage) -> npt.NDArray[Any]:
     data = np.frombuffer(memoryview(message.data), np.uint8)
-    what = f"compressed image (format {message.format!r}, {data.size} bytes)"
+    what = f"compressed image (format {reprlib.repr(message.format)}, {data.size} bytes)"
     flags = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR | cv2.IMREAD_IGNORE_ORIENTATION
     image: npt.NDArray[Any] | None
     try:

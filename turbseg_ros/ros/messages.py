@@ -48,7 +48,7 @@ def labels_message(result: SegmentationResult) -> Image:
 
 def mask_message(result: SegmentationResult) -> Image:
     """Give all objects together as mono8, 0 or 255."""
-    return _image(result, cv2.compare(result.labels, 0, cv2.CMP_GT), "mono8")
+    return _image(result, _white(result.labels > 0), "mono8")
 
 
 def slot_mask_message(result: SegmentationResult, slot: int) -> Image:
@@ -56,8 +56,13 @@ def slot_mask_message(result: SegmentationResult, slot: int) -> Image:
     mask = np.zeros(result.labels.shape, np.uint8)
     for moving_object in result.objects:
         if moving_object.slot == slot:
-            mask = cv2.inRange(result.labels, moving_object.id, moving_object.id)
+            mask = _white(result.labels == moving_object.label)
     return _image(result, mask, "mono8")
+
+
+def _white(mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.uint8]:
+    # OpenCV's comparisons take a number for a row of them when the array is as narrow.
+    return mask.view(np.uint8) * np.uint8(255)
 
 
 class OverlayView:

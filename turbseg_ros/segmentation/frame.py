@@ -10,6 +10,8 @@ import numpy.typing as npt
 
 Image = npt.NDArray[Any]
 
+_MOST_LABELS = 65535
+
 
 @dataclass(frozen=True)
 class Frame:
@@ -41,6 +43,11 @@ class MovingObject:
     box: tuple[int, int, int, int]
     trail: tuple[tuple[float, float], ...] = ()
 
+    @property
+    def label(self) -> int:
+        """What marks its pixels in the labels."""
+        return label_of(self.id)
+
 
 @dataclass(frozen=True)
 class SegmentationResult:
@@ -59,3 +66,8 @@ class SegmentationResult:
     motion_map: npt.NDArray[np.float32]
     tilt: float
     ego_motion_model: str
+
+
+def label_of(object_id: int) -> int:
+    """Give the label of an object: its id, counted from 1 again after 65,535."""
+    return (object_id - 1) % _MOST_LABELS + 1

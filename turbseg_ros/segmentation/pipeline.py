@@ -15,7 +15,7 @@ from turbseg_ros.parameters import Parameters
 from turbseg_ros.segmentation import region_growing
 from turbseg_ros.segmentation.background import Box, View
 from turbseg_ros.segmentation.flow import FlowBackend, flows_to
-from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResult
+from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResult, label_of
 from turbseg_ros.segmentation.motion import (
     MotionEstimate,
     affine_motion,
@@ -66,8 +66,6 @@ _SMALLEST_OUTLINE = 12
 _GUARD = 2
 # A known object counts as resting when motion was found on less than this share of it.
 _RESTING = 0.6
-# Labels are 16-bit: the 65,536th object gets label 1 again; its id goes on counting.
-_MOST_LABELS = 65535
 
 
 @dataclass(frozen=True)
@@ -438,7 +436,7 @@ def _result(pending: _Pending) -> SegmentationResult:
         mask = _at_input_resolution(observation.candidate, pending.resolution)
         mask &= labels == 0
         if mask.any():
-            labels[mask] = (observation.track.id - 1) % _MOST_LABELS + 1
+            labels[mask] = label_of(observation.track.id)
             objects.append(_moving_object(observation, mask, scale))
     processing_scale = width / pending.resolution.processing[0]
     motion = pending.motion
