@@ -25,10 +25,6 @@ Rule = Callable[[Shares, Shares], Shares]
 It takes K intervals as Kx1 and, KxN, which of them see each of N pixels (1, else 0); it gives KxN.
 """
 
-# Patches of DIS flow 4 pixels apart and 16 steps of descent, not 3 and 25 as in the medium preset:
-# masks are as good, a flow takes three quarters of the time.
-_PATCH_STRIDE = 4
-_DESCENT_ITERATIONS = 16
 # Below this sum of squared distances between intervals, which are whole numbers, there is one.
 _LEAST_SPREAD = 0.25
 
@@ -53,8 +49,6 @@ def dis_flow(source: GreyImage, target: GreyImage, variational_iterations: int) 
     """
     # The object holds its pyramids: one per call keeps calls in several threads apart.
     dis = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
-    dis.setPatchStride(_PATCH_STRIDE)
-    dis.setGradientDescentIterations(_DESCENT_ITERATIONS)
     dis.setVariationalRefinementIterations(variational_iterations)
     flow: Flow = dis.calc(source, target, None)
     return flow
