@@ -41,10 +41,12 @@ figures: venv
 		--tilt-curve 0,0.5,1,2 --shake-curve 0,2,4 --curves docs/images
 	rm -rf out/severe
 	$(BIN)/python -m turbseg_ros.cli replay bags/severe -o out/severe --overlay docs/images/severe.jpg
+	$(BIN)/python -m turbseg_ros.cli stages bags/normal -o docs/images/stages.jpg
 
 # What takes minutes: floods, long runs, thousands of random messages.
 soak: venv
-	$(BIN)/python -m pytest -m soak --timeout 3600
+	FASTRTPS_DEFAULT_PROFILES_FILE=config/fastdds_large_images.xml \
+		$(BIN)/python -m pytest -m soak --timeout 3600
 
 lint: venv
 	$(BIN)/ruff check .
