@@ -96,7 +96,7 @@ class View:
 def without_objects(image: Image, objects: Mask) -> Image:
     """Give an image, HxWxC, a last channel that is 255 where objects hide the scene, else 0."""
     hidden = objects.view(np.uint8) * np.uint8(_HIDDEN)
-    scene: Image = cv2.merge([image, hidden])
+    scene: Image = cv2.merge([*cv2.split(image), hidden])
     return scene
 
 
@@ -118,9 +118,9 @@ def background_in(box: Box, views: Sequence[View]) -> Background:
     pictures = [_sampled(view, box) for view in views]
     count = np.zeros(box.shape, np.intp)
     for picture in pictures:
-        hidden = picture[..., -1] > 0
+        hidden = picture[..., -1] > 127
         # So that they sort last.
-        np.copyto(picture, _HIDDEN, where=hidden[..., None])
+        picture[hidden] = _HIDDEN
         count += ~hidden
     samples = np.stack(_ordered(pictures))
     rows, columns = np.indices(box.shape, sparse=True)

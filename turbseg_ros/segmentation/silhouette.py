@@ -289,7 +289,8 @@ def _usual_difference(difference: Map, certain: Mask) -> Map:
     sizes = np.bincount(owner, minlength=count)
     usual = np.zeros(count, np.float32)
     # The 80th percentile of each patch: its values follow one another, the least first.
-    usual[1:] = ordered[(np.cumsum(sizes) - np.ceil(0.2 * sizes).astype(int))[1:]]
+    first = np.cumsum(sizes) - sizes
+    usual[1:] = ordered[first[1:] + np.rint(0.8 * (sizes[1:] - 1)).astype(int)]
     nearby: Map = cv2.dilate(usual[patches], np.ones((_NEARBY, _NEARBY), np.uint8))
     return nearby
 
