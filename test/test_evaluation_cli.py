@@ -49,7 +49,7 @@ class DarkAreas:
 def made(monkeypatch: pytest.MonkeyPatch) -> list[Parameters]:
     """The parameters of every method that was made, in order."""
     monkeypatch.setattr(DarkAreas, "made", [], raising=False)
-    monkeypatch.setattr(rivals, "motion_segmenter", DarkAreas)
+    monkeypatch.setattr(rivals, "clip_segmenter", DarkAreas)
     return DarkAreas.made
 
 
@@ -206,7 +206,7 @@ def test_an_unforeseen_error_in_one_bag_does_not_stop_the_rest(
                 raise RuntimeError("too small")
             return super().push(frame)
 
-    monkeypatch.setattr(rivals, "motion_segmenter", Fragile)
+    monkeypatch.setattr(rivals, "clip_segmenter", Fragile)
     small = tmp_path / "small"
     with BagWriter(small) as writer:
         for topic in ("/camera/image_raw", TRUTH_TOPIC):

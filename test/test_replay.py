@@ -55,8 +55,8 @@ class SquareFinder:
 
 @pytest.fixture(autouse=True)
 def known_segmenter(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    monkeypatch.setattr(replay, "motion_segmenter", SquareFinder)
-    monkeypatch.setattr(rivals, "motion_segmenter", SquareFinder)
+    monkeypatch.setattr(replay, "clip_segmenter", lambda p, _: SquareFinder(p))
+    monkeypatch.setattr(rivals, "clip_segmenter", SquareFinder)
     return
 
 
@@ -190,7 +190,7 @@ def test_parameters_come_from_file_and_then_from_the_command_line(
 ) -> None:
     given = []
     module, maker = {"replay": (replay, replay), "evaluate": (evaluate, rivals)}[executable]
-    monkeypatch.setattr(maker, "motion_segmenter", lambda p: given.append(p) or SquareFinder(p))
+    monkeypatch.setattr(maker, "clip_segmenter", lambda p, *_: given.append(p) or SquareFinder(p))
     file = tmp_path / "parameters.yaml"
     file.write_text("turbseg:\n  ros__parameters:\n    max_objects: 5\n    flow: {interval: 3}\n")
     arguments = [str(bag), "--params-file", str(file), "-p", "flow.interval:=2"]

@@ -58,7 +58,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     comparisons += ["--ablation", "--sensitivity"]
     comparisons += ["--shake-curve", "0,1", "-p", "max_objects:=4"]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(rivals, "motion_segmenter", DarkAreas)
+        patch.setattr(rivals, "clip_segmenter", DarkAreas)
         report = ["--report", str(folder / "out"), "--workers", "1"]
         report += ["--curves", str(folder / "curves")]
         assert main([*map(str, bags), *comparisons, *report]) == 0

@@ -5,29 +5,71 @@ Networks are imported only when they are chosen.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from turbseg_ros.parameters import Parameters
+from turbseg_ros.parameters import ParameterError, Parameters
 from turbseg_ros.segmentation.flow import FlowBackend
 from turbseg_ros.segmentation.pipeline import MotionSegmenter
+from turbseg_ros.segmentation.refinement import Refiner
+
+if TYPE_CHECKING:
+    from turbseg_ros.learning.optimise import ClipRefiner
 
 
 def motion_segmenter(parameters: Parameters) -> MotionSegmenter:
     """Give a new segmenter, with the networks that the parameters choose.
 
+    :raises ParameterError: when a network, its weights or its device can't be had, or one was
+        chosen that is fitted to whole clips.
+    """
+    if parameters.refine.mode == "optimise":
+        raise ParameterError(
+            "parameter refine.mode is optimise, which needs the whole clip before it answers; "
+            "set -p refine.mode:=pretrained, or segment a recorded bag with turbseg_replay"
+        )
+    return MotionSegmenter(parameters, _refiner(parameters), _flow(parameters))
+
+
+def clip_segmenter(
+    parameters: Parameters, shown: Callable[[range], Iterable[int]] = iter
+) -> MotionSegmenter | ClipRefiner:
+    """Give a new segmenter for a recorded clip.
+
+    :param shown: hands epochs on while it shows how many a network has been fitted for.
     :raises ParameterError: when a network, its weights or its device can't be had.
     """
-    return MotionSegmenter(parameters, flow=_flow(parameters))
+    refine = parameters.refine
+    if refine.mode != "optimise":
+        return motion_segmenter(parameters)
+    _require_torch("refine.mode optimise")
+    from turbseg_ros.learning.optimise import ClipRefiner
+
+    segmenter = MotionSegmenter(parameters, flow=_flow(parameters))
+    return ClipRefiner(segmenter, refine.epochs, refine.grouping, shown)
+
+
+def _refiner(parameters: Parameters) -> Refiner | None:
+    if parameters.refine.mode == "none":
+        return None
+    from turbseg_ros.learning.pretrained import PretrainedRefiner
+
+    return PretrainedRefiner()
 
 
 def _flow(parameters: Parameters) -> FlowBackend | None:
     chosen = parameters.flow.backend
     if chosen == "dis":
         return None
-    from turbseg_ros.learning.torch_import import require_torch
-
-    require_torch(f"flow.backend {chosen}")
+    _require_torch(f"flow.backend {chosen}")
     from turbseg_ros.learning.raft import RaftFlow
 
     weights = Path(parameters.flow.weights) if parameters.flow.weights else None
     return RaftFlow(chosen, weights, parameters.device)
+
+
+def _require_torch(what: str) -> None:
+    from turbseg_ros.learning.torch_import import require_torch
+
+    require_torch(what)

@@ -268,6 +268,32 @@ class OutlineParameters:
 
 
 @dataclass(frozen=True)
+class RefineParameters:
+    """How a network refines outlines."""
+
+    mode: str = parameter(
+        "pretrained",
+        "pretrained: a small network draws the outlines; none: rules do; optimise: "
+        "a network fitted to the whole clip, as in the paper, which needs torch "
+        "(turbseg_replay and turbseg_evaluate only).",
+        choices=("none", "pretrained", "optimise"),
+        read_only=True,
+    )
+    epochs: int = parameter(
+        25,
+        "Times that optimise goes through the clip before masks are re-grouped.",
+        minimum=1,
+        maximum=1000,
+        read_only=True,
+    )
+    grouping: bool = parameter(
+        True,
+        "Whether optimise goes on for ten epochs with masks re-grouped by 2-means.",
+        read_only=True,
+    )
+
+
+@dataclass(frozen=True)
 class TrackingParameters:
     """How objects keep their ids."""
 
@@ -372,6 +398,7 @@ class Parameters:
     seed: SeedParameters = field(default_factory=SeedParameters)
     growing: GrowingParameters = field(default_factory=GrowingParameters)
     outline: OutlineParameters = field(default_factory=OutlineParameters)
+    refine: RefineParameters = field(default_factory=RefineParameters)
     tracking: TrackingParameters = field(default_factory=TrackingParameters)
     qos: QosParameters = field(default_factory=QosParameters)
     diagnostics: DiagnosticsParameters = field(default_factory=DiagnosticsParameters)

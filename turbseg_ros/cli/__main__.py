@@ -31,7 +31,6 @@ import_ = _starter("import_")
 benchmark = _starter("benchmark")
 train = _starter("train")
 demo = _starter("demo")
-stages = _starter("stages")
 
 _STARTERS = {
     "node": node,
@@ -43,7 +42,6 @@ _STARTERS = {
     "benchmark": benchmark,
     "train": train,
     "demo": demo,
-    "stages": stages,
 }
 
 

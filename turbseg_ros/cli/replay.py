@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import functools
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from turbseg_ros.bag.writer import BagWriter
 from turbseg_ros.cli.errors import executable
 from turbseg_ros.cli.options import add_parameter_options, parameters_from, with_progress
 from turbseg_ros.evaluation.replay import BagFrames, segment
-from turbseg_ros.factory import motion_segmenter
+from turbseg_ros.factory import clip_segmenter
 from turbseg_ros.overlay import OverlayStrip, write_picture
 from turbseg_ros.ros.messages import CentroidMarkers, Output, outputs, slot_output
 from turbseg_ros.segmentation.frame import SegmentationResult
@@ -53,13 +54,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     frames = BagFrames(reader, reader.find_image_topic(options.image_topic))
     if options.overlay is not None:
         options.overlay.parent.mkdir(parents=True, exist_ok=True)
+    segmenter = clip_segmenter(
+        parameters, functools.partial(with_progress, title="refining", unit="epoch")
+    )
     strip = OverlayStrip(len(frames))
     count = 0
     with BagWriter(options.out) as bag:
         results = ResultWriter(bag)
-        for result in segment(
-            with_progress(frames, reader.path.name), motion_segmenter(parameters)
-        ):
+        for result in segment(with_progress(frames, reader.path.name), segmenter):
             results.write(result)
             strip.add(result)
             count += 1

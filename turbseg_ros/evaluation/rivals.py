@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from turbseg_ros.evaluation.replay import Segmenter
-from turbseg_ros.factory import motion_segmenter
+from turbseg_ros.factory import clip_segmenter
 from turbseg_ros.parameter_file import load_parameters
 from turbseg_ros.parameters import Parameters
 from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResult
@@ -84,7 +84,7 @@ class Method:
 
     def segmenter(self) -> Segmenter:
         """Make a segmenter that has seen nothing yet."""
-        return motion_segmenter(self.parameters)
+        return clip_segmenter(self.parameters)
 
 
 @dataclass(frozen=True)

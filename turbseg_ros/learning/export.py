@@ -7,7 +7,8 @@ import io
 from pathlib import Path
 
 import torch
-from safetensors.torch import save_file
+from onnx import ModelProto
+from safetensors.torch import save
 
 from turbseg_ros.learning.refine_net import RefineNet
 from turbseg_ros.learning.window_input import CHANNELS, SIDE
@@ -18,17 +19,24 @@ def write_onnx(net: RefineNet, path: Path) -> None:
     example = torch.zeros(1, len(CHANNELS), SIDE, SIDE)
     # The exporter tells its progress on standard output.
     with contextlib.redirect_stdout(io.StringIO()):
-        torch.onnx.export(
-            net.eval(),
-            (example,),
-            str(path),
-            dynamo=True,
-            external_data=False,
-            input_names=["maps"],
-            output_names=["logits"],
+        program = torch.onnx.export(
+            net.eval(), (example,), dynamo=True, input_names=["maps"], output_names=["logits"]
         )
+    path.write_bytes(without_notes(program.model_proto).SerializeToString())
+
+
+def without_notes(model: ModelProto) -> ModelProto:
+    """Give a model without the exporter's notes, which name the files of this machine."""
+    bare = ModelProto()
+    bare.CopyFrom(model)
+    graph = bare.graph
+    for part in (bare, graph, *graph.node, *graph.input, *graph.output, *graph.value_info):
+        part.ClearField("metadata_props")
+    for weights in graph.initializer:
+        weights.ClearField("metadata_props")
+    return bare
 
 
 def write_weights(net: RefineNet, path: Path) -> None:
     """Write a network's weights as safetensors."""
-    save_file(net.state_dict(), path)
+    path.write_bytes(save(net.state_dict()))

@@ -10,15 +10,18 @@ from torch.nn import functional
 
 
 class RefineNet(nn.Module):  # type: ignore[misc]  # torch is read as untyped
-    """Give logits of object against background for every pixel: Nx1xHxW for NxCxHxW.
+    """Give logits of object against background for every pixel: NxKxHxW for NxCxHxW.
 
     H and W are divisible by 2 to the number of levels below the first.
 
     :param channels: maps that go in.
     :param widths: feature maps of each level, finest first.
+    :param outputs: kinds of object K that are judged apart.
     """
 
-    def __init__(self, channels: int, widths: tuple[int, ...] = (8, 16, 32, 48)) -> None:
+    def __init__(
+        self, channels: int, widths: tuple[int, ...] = (8, 16, 32, 48), outputs: int = 1
+    ) -> None:
         super().__init__()
         self.first = _convolution(channels, widths[0])
         self.down = nn.ModuleList(
@@ -31,7 +34,7 @@ class RefineNet(nn.Module):  # type: ignore[misc]  # torch is read as untyped
             nn.Conv2d(coarse, fine, 1) for fine, coarse in itertools.pairwise(widths)
         )
         self.join = nn.ModuleList(_convolution(2 * fine, fine) for fine in widths[:-1])
-        self.judge = nn.Conv2d(widths[0], 1, 1)
+        self.judge = nn.Conv2d(widths[0], outputs, 1)
 
     def forward(self, maps: Tensor) -> Tensor:
         """Judge every pixel."""

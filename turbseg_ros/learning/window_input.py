@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from turbseg_ros.segmentation.background import deviation_from, difference_from
-from turbseg_ros.segmentation.silhouette import ObjectWindow
+from turbseg_ros.segmentation.silhouette import ObjectWindow, guided_filter
 
 Map = npt.NDArray[np.float32]
 
@@ -32,6 +32,10 @@ CHANNELS = (
 )
 """What the network's input holds, in order."""
 
+# Edges that probability is brought to: within so many pixels, and where the variance of the grey
+# values (0 to 1) is larger.
+_EDGE_REACH = 2
+_EDGE_VARIANCE = 1e-3
 # Grey values that a plain window is taken to vary by.
 _LEAST_CONTRAST = 6.0
 # Where deviation and motion, in units of their noise, come to half of their range.
@@ -68,8 +72,15 @@ def window_input(window: ObjectWindow) -> Map:
 
 
 def at_window_size(probability: Map, window: ObjectWindow) -> Map:
-    """Bring a network's output, SIDExSIDE, to the window's size, hxw."""
-    return resized(probability, window.box.shape)
+    """Bring a network's output, SIDExSIDE, to the window's size, hxw.
+
+    In a larger window its edges are then brought to those of the picture.
+    """
+    at_size = resized(probability, window.box.shape)
+    if min(window.box.shape) <= SIDE:
+        return at_size
+    grey = window.image.astype(np.float32).mean(axis=2) / 255.0
+    return guided_filter(grey, at_size, _EDGE_REACH, _EDGE_VARIANCE)
 
 
 def _usual(values: Map, where: npt.NDArray[np.bool_], least: float) -> float:

@@ -14,17 +14,11 @@ import numpy.typing as npt
 from turbseg_ros.segmentation.silhouette import (
     ObjectWindow,
     Outline,
-    guided_filter,
     opened,
     separated,
 )
 
 Map = npt.NDArray[np.float32]
-
-# Edges of the picture that edges of probability follow: within so many pixels, and where the
-# variance of the grey values (0 to 1) is larger.
-_EDGE_REACH = 2
-_EDGE_VARIANCE = 1e-3
 
 
 class Refiner(Protocol):
@@ -43,8 +37,6 @@ def refined_silhouettes(
     """
     found = []
     for window, probability in zip(windows, probabilities, strict=True):
-        grey = window.image.astype(np.float32).mean(axis=2) / 255.0
-        probability = guided_filter(grey, probability, _EDGE_REACH, _EDGE_VARIANCE)
         parts = separated(opened(probability > 0.5))
         found += [Outline.of(part, window.box.x0, window.box.y0) for part in parts]
     return found

@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from turbseg_ros.segmentation.background import without_objects
 from turbseg_ros.segmentation.stabilization import register_affine
 
 Mask = npt.NDArray[np.bool_]
@@ -82,7 +81,7 @@ class PreparedFrame:
     `grey` is at processing resolution, `detail` HxWxC at detail resolution, both uint8;
     `from_previous` takes the pixels (of `grey`) of the frame before in the window to this one's;
     `continues` tells whether the two have anything in common;
-    `scene` is, once the frame's objects are known, `detail` without them (`View.scene`).
+    `objects` tells, at detail resolution and once known, which pixels are objects.
     """
 
     index: int
@@ -90,7 +89,7 @@ class PreparedFrame:
     detail: ByteImage
     from_previous: Matrix
     continues: bool = True
-    scene: ByteImage | None = None
+    objects: Mask | None = None
 
 
 def prepare(
@@ -175,8 +174,7 @@ class FrameWindow:
     def mark_objects(self, index: int, objects: Mask) -> None:
         """Remember which pixels of a frame are objects, not background."""
         if index in self._frames:
-            frame = self._frames[index]
-            self._frames[index] = replace(frame, scene=without_objects(frame.detail, objects))
+            self._frames[index] = replace(self._frames[index], objects=objects)
 
     def shows_scene(self, index: int) -> bool:
         """Tell whether a frame has anything in common with the one before or after it.

@@ -1,0 +1,144 @@
+"""The network that comes with the package, run by OpenCV alone."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from drawn_scene import DrawnScene, jaccard, texture
+
+from turbseg_ros.factory import motion_segmenter
+from turbseg_ros.learning.errors import NetworkError
+from turbseg_ros.learning.pretrained import SHIPPED, PretrainedRefiner
+from turbseg_ros.learning.window_input import CHANNELS, SIDE, window_input
+from turbseg_ros.parameters import Parameters
+from turbseg_ros.segmentation.background import Background, Box
+from turbseg_ros.segmentation.frame import Frame, SegmentationResult
+from turbseg_ros.segmentation.silhouette import MovingArea, ObjectWindow
+
+SCENE = DrawnScene()
+PARAMETERS = Parameters.from_mapping({"resolution.processing": 160, "refine.mode": "pretrained"})
+
+
+def window(shape: tuple[int, int], channels: int = 1, seed: int = 0) -> ObjectWindow:
+    """A dark block, half as wide and high as the window, moves over textured ground."""
+    height, width = shape
+    ground = np.dstack([texture(shape, seed + c, low=90, high=190) for c in range(channels)])
+    block = np.zeros(shape, bool)
+    block[height // 4 : -(height // 4), width // 4 : -(width // 4)] = True
+    image = ground.copy()
+    image[block] = 20
+    spread = np.full(ground.shape, 2.0, np.float32)
+    background = Background(ground.astype(np.float32), spread, np.ones(shape, bool))
+    motion = cv2.GaussianBlur(block.astype(np.float32), (0, 0), 4.0) * 20.0
+    area = MovingArea(motion > 2.0, motion > 12.0, motion > 18.0, (3.0, 0.0))
+    return ObjectWindow(Box(0, 0, width, height), image, background, area, motion, 0.1, 0)
+
+
+def block_of(shape: tuple[int, int]) -> np.ndarray:
+    return window(shape).image[..., 0] == 20
+
+
+def segmented() -> list[SegmentationResult]:
+    segmenter = motion_segmenter(PARAMETERS)
+    frames = [Frame(number, image) for number, image in enumerate(SCENE.images(24))]
+    return [result for frame in frames for result in segmenter.push(frame)] + segmenter.flush()
+
+
+@pytest.mark.parametrize("shape", [(20, 24), (40, 200), (300, 260)])
+@pytest.mark.parametrize("channels", [1, 3])
+def test_an_input_has_one_size_and_range_whatever_the_window(
+    shape: tuple[int, int], channels: int
+) -> None:
+    maps = window_input(window(shape, channels))
+    assert (maps.shape, maps.dtype) == ((len(CHANNELS), SIDE, SIDE), np.float32)
+    assert np.abs(maps).max() < 3.0
+
+
+def test_the_input_does_not_depend_on_exposure_or_gain() -> None:
+    bright = window((60, 80))
+    image, background = bright.image // 2 + 10, bright.background
+    dimmed = Background(background.median / 2 + 10, background.spread / 2, background.known)
+    dark = ObjectWindow(
+        bright.box, image, dimmed, bright.area, bright.motion, bright.tilt, bright.stamp
+    )
+    change = np.abs(window_input(dark) - window_input(bright)).mean(axis=(1, 2))
+    # Deviations only approach that, for no noise is taken to be lower than a camera's.
+    assert np.delete(change, CHANNELS.index("deviation")).max() < 0.02
+
+
+def test_nothing_is_told_of_a_background_that_is_unknown() -> None:
+    known = window((60, 80))
+    hidden = Background(
+        np.full_like(known.background.median, np.nan),
+        np.full_like(known.background.spread, np.nan),
+        np.zeros((60, 80), bool),
+    )
+    maps = window_input(
+        ObjectWindow(known.box, known.image, hidden, known.area, known.motion, 0.1, 0)
+    )
+    assert np.isfinite(maps).all()
+    for name in ("change", "deviation", "difference", "known"):
+        assert not maps[CHANNELS.index(name)].any()
+
+
+@pytest.mark.parametrize("shape", [(24, 32), (60, 80), (300, 400)])
+def test_the_shipped_network_tells_an_object_from_its_background(shape: tuple[int, int]) -> None:
+    (probability,) = PretrainedRefiner().refine([window(shape)])
+    assert probability.shape == shape
+    assert jaccard(probability > 0.5, block_of(shape)) > 0.7
+
+
+def test_results_are_the_same_in_every_run_and_thread() -> None:
+    windows = [window((60, 80), seed=seed) for seed in range(4)]
+    once = PretrainedRefiner().refine(windows)
+    refiners = [PretrainedRefiner() for _ in range(3)]
+    with ThreadPoolExecutor(3) as executor:
+        runs = list(executor.map(lambda refiner: refiner.refine(windows), refiners))
+    for run in runs:
+        for one, other in zip(once, run, strict=True):
+            np.testing.assert_array_equal(one, other)
+
+
+def test_the_method_outlines_objects_with_it() -> None:
+    results = segmented()
+    overlap = [jaccard(r.labels > 0, SCENE.truth(k)) for k, r in enumerate(results)]
+    assert np.mean(overlap[4:]) > 0.7
+    assert {found.id for result in results for found in result.objects} == {1}
+
+
+def test_the_shipped_network_is_small_and_its_making_recorded() -> None:
+    assert SHIPPED.stat().st_size < 3_000_000
+    record = json.loads((SHIPPED.parent / "training.json").read_text())
+    assert record["command"].startswith("turbseg_train ")
+    assert record["held_out"]["j"] > record["held_out"]["j_ruled"]
+    losses = [report["loss"] for report in record["curve"]]
+    assert losses[-1] < losses[0]
+
+
+def test_files_that_are_no_such_network_are_refused_in_one_line(tmp_path: Path) -> None:
+    spoilt = tmp_path / "spoilt.onnx"
+    spoilt.write_bytes(SHIPPED.read_bytes()[:20_000])
+    text = tmp_path / "text.onnx"
+    text.write_text("no network")
+    for path in (tmp_path / "missing.onnx", spoilt, text, tmp_path):
+        with pytest.raises(NetworkError) as refusal:
+            PretrainedRefiner(path)
+        assert str(path) in str(refusal.value)
+        assert "\n" not in str(refusal.value)
+
+
+def test_it_needs_no_torch() -> None:
+    code = (
+        "import sys; sys.modules['torch'] = None; "
+        "from turbseg_ros.factory import motion_segmenter; "
+        "from turbseg_ros.parameters import Parameters; "
+        "motion_segmenter(Parameters.from_mapping({'refine.mode': 'pretrained'}))"
+    )
+    assert subprocess.run([sys.executable, "-c", code], timeout=60, check=False).returncode == 0
