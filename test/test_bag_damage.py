@@ -177,7 +177,11 @@ def with_chunk(file: Path, compression: str, data: bytes, size: int) -> Path:
 
 
 BOMB = bytes(64 << 20)
+# Nothing in it says how much it is.
+STREAMED = zstandard.ZstdCompressor(write_content_size=False).compress(b"little")
 BOMBS = {
+    "little zstd that states much": ("zstd", STREAMED, 2**29),
+    "little lz4 that states much": ("lz4", lz4.frame.compress(b"little"), 2**29),
     "zstd that states more than it may": ("zstd", zstandard.compress(BOMB), 2**40),
     "zstd that states less than it is": ("zstd", zstandard.compress(BOMB), 100),
     "lz4 that states less than it is": ("lz4", lz4.frame.compress(BOMB), 100),
@@ -411,6 +415,9 @@ def test_a_type_name_imports_nothing_but_messages(
         "- {history: never, depth: .inf}",
         "- " + "[" * 10_000,
         "- history: keep_last\n  depth: 1e400",
+        "- {history: 1, depth: 1, reliability: 1, durability: 1, liveliness: 1,"
+        # A word a thousand million times.
+        " deadline: {sec: word, nsec: 0}, lifespan: {sec: 0, nsec: 0}}",
         "just words",
         "{",
     ],

@@ -17,7 +17,7 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import zstandard
 from mcap.data_stream import ReadDataStream
@@ -49,6 +49,8 @@ _FOOTER_SIZE = _RECORD_HEAD.size + struct.calcsize("<QQI")
 _LARGEST_CHUNK = 2**30
 # More messages than any recording holds: a count beyond is damage.
 MOST_MESSAGES = 2**40
+# Bytes that are decompressed at a time.
+_PIECE = 2**20
 # Later than any time that a file can state.
 _NEVER = 2**64
 # What the libraries raise on damaged content.
@@ -453,20 +455,28 @@ def _chunk_content(chunk: Chunk) -> list[McapRecord]:
 
 
 def _decompressed(chunk: Chunk) -> bytes:
-    size = chunk.uncompressed_size
     if chunk.compression == "":
         return chunk.data
     if chunk.compression == "zstd":
-        if zstandard.frame_content_size(chunk.data) not in (-1, size):
-            raise _DamageError(f"its content isn't the {size} bytes that it states")
-        return zstandard.decompress(chunk.data, max_output_size=size)
+        return _read_in_pieces(
+            zstandard.ZstdDecompressor().stream_reader(chunk.data), chunk.uncompressed_size
+        )
     if chunk.compression == "lz4":
         # Of the MCAP library's own dependencies.
         lz4 = importlib.import_module("lz4.frame")
-        # One byte more shows that there is more.
-        content: bytes = lz4.LZ4FrameDecompressor().decompress(chunk.data, max_length=size + 1)
-        return content
+        return _read_in_pieces(lz4.open(io.BytesIO(chunk.data)), chunk.uncompressed_size)
     raise _DamageError(f"it is compressed by {chunk.compression!r}, which is not known")
+
+
+def _read_in_pieces(stream: Any, size: int) -> bytes:
+    """Read up to a byte more than `size`, taking no more memory than there is content."""
+    content = bytearray()
+    while len(content) <= size:
+        piece = stream.read(min(_PIECE, size + 1 - len(content)))
+        if not piece:
+            break
+        content += piece
+    return bytes(content)
 
 
 def _data(content: bytes) -> ReadDataStream:

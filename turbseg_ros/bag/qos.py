@@ -79,5 +79,5 @@ def _seconds(duration: Duration) -> dict[str, int]:
 
 def _duration(value: Mapping[str, int]) -> Duration:
     # rosbag2 writes 2^63-1 for "for ever", older versions a little more.
-    nanoseconds = value["sec"] * _NANOSECONDS + value["nsec"]
+    nanoseconds = int(value["sec"]) * _NANOSECONDS + int(value["nsec"])
     return Duration(nanoseconds=min(nanoseconds, 2**63 - 1))
