@@ -9,7 +9,7 @@ VENV_FLAGS := $(if $(SOURCED_ROS),--system-site-packages)
 EXTRAS := bags,test,lint,colcon$(if $(SOURCED_ROS),,$(comma)wheels)
 CONSTRAINTS := $(if $(SOURCED_ROS),,-c constraints.txt)
 
-.PHONY: venv demo test bench figures soak lint clean
+.PHONY: venv demo test bench figures soak fuzz lint clean
 
 venv: .venv/complete
 
@@ -41,10 +41,23 @@ figures: venv
 		--tilt-curve 0,0.5,1,2 --shake-curve 0,2,4 --curves docs/images
 	rm -rf out/severe
 	$(BIN)/python -m turbseg_ros.cli replay bags/severe -o out/severe --overlay docs/images/severe.jpg
+	$(BIN)/python -m turbseg_ros.cli stages bags/normal -o docs/images/stages.jpg
 
 # What takes minutes: floods, long runs, thousands of random messages.
 soak: venv
-	$(BIN)/python -m pytest -m soak --timeout 3600
+	FASTRTPS_DEFAULT_PROFILES_FILE=config/fastdds_large_images.xml \
+		$(BIN)/python -m pytest -m soak --timeout 3600
+
+# Coverage-guided fuzzing, so many minutes for each harness; a finding ends it and is kept.
+FUZZ_MINUTES ?= 5
+FUZZ_LIMITS = -max_total_time=$$((60 * $(FUZZ_MINUTES))) -rss_limit_mb=2048 -timeout=30
+fuzz: venv
+	$(BIN)/python -m pip install --quiet $(CONSTRAINTS) --no-build-isolation --editable '.[fuzz]'
+	for harness in bag_reader image_conversion; do \
+	    found=out/fuzz/$$harness; mkdir -p $$found/findings && \
+	    $(BIN)/python test/fuzz/$$harness.py $(FUZZ_LIMITS) -artifact_prefix=$$found/findings/ \
+	        $$found test/fuzz/corpus/$$harness || exit 1; \
+	done
 
 lint: venv
 	$(BIN)/ruff check .

@@ -32,23 +32,41 @@ setup(
         (f"share/{PACKAGE}/launch", _files("launch")),
     ],
     python_requires=">=3.10",
-    install_requires=["setuptools", "numpy", "scipy", "PyYAML", "tqdm"],
+    install_requires=[
+        "setuptools>=64",
+        "numpy>=1.26,<3",
+        "scipy>=1.11,<2",
+        "PyYAML>=6,<7",
+        "tqdm>=4.60,<5",
+    ],
     extras_require={
         # What a machine without ROS 2 takes from the package registry; a ROS machine has these
         # from its own distribution (package.xml), under other package names.
         "wheels": [
-            "ros-jazzy-rclpy",
-            "ros-jazzy-common-interfaces",
-            "ros-jazzy-rmw-fastrtps-cpp",
-            "ros-wheels-bootstrapper",
-            "opencv-python-headless",
+            "ros-jazzy-rclpy>=7.1,<8",
+            "ros-jazzy-common-interfaces>=5.3,<6",
+            "ros-jazzy-rmw-fastrtps-cpp>=8.4,<9",
+            "ros-wheels-bootstrapper>=0.1,<1",
+            "opencv-python-headless>=4.6,<6",
         ],
         # RAFT, and training; the pretrained network runs by OpenCV.
-        "learning": ["torch", "torchvision", "safetensors", "onnx", "onnxscript"],
-        "bags": ["mcap", "distributed", "jinja2"],
-        "test": ["pytest", "pytest-timeout", "hypothesis", "rosbags"],
+        "learning": [
+            "torch>=2.1,<3",
+            "torchvision>=0.16,<1",
+            "safetensors>=0.4,<1",
+            "onnx>=1.15,<2",
+            "onnxscript>=0.1,<1",
+        ],
+        "bags": ["mcap>=1.2.1,<2", "distributed>=2024.1", "jinja2>=3.1,<4"],
+        "test": [
+            "pytest>=7.4,<10",
+            "pytest-timeout>=2,<3",
+            "hypothesis>=6,<7",
+            "rosbags>=0.11,<1",
+        ],
         "lint": ["ruff", "mypy", "types-PyYAML", "types-tqdm", "scipy-stubs"],
-        "colcon": ["colcon-common-extensions"],
+        "fuzz": ["atheris>=2.3,<4"],
+        "colcon": ["colcon-common-extensions>=0.3,<1"],
     },
     # Type checkers look for py.typed in a folder.
     zip_safe=False,

@@ -17,6 +17,7 @@ from turbseg_ros.segmentation.background import (
     background_in,
     deviation_from,
     difference_from,
+    without_objects,
 )
 
 SHAPE = (60, 90)
@@ -28,7 +29,7 @@ NOTHING = np.zeros(SHAPE, bool)
 def view(image: ByteImage, objects: Mask = NOTHING, shift: tuple[int, int] = (0, 0)) -> View:
     to_image = np.eye(3)
     to_image[:2, 2] = shift
-    return View(image, objects, to_image)
+    return View(without_objects(image, objects), to_image)
 
 
 def noisy_views(count: int, sigma: float, ground: ByteImage = GROUND) -> list[View]:
@@ -87,7 +88,7 @@ def test_the_median_is_that_of_the_samples_without_objects(
 ) -> None:
     objects = data.draw(hnp.arrays(np.bool_, pictures.shape))
     views = [
-        View(picture[..., None], hidden, np.eye(3))
+        View(without_objects(picture[..., None], hidden), np.eye(3))
         for picture, hidden in zip(pictures, objects, strict=True)
     ]
     background = background_in(Box(0, 0, 4, 3), views)
@@ -139,7 +140,13 @@ def flat_background(shape: tuple[int, int], grey: float, spread: float) -> Backg
 def test_difference_is_that_of_the_channel_that_differs_most() -> None:
     background = background_in(
         Box(0, 0, 2, 1),
-        [View(np.full((1, 2, 3), 100, np.uint8), np.zeros((1, 2), bool), np.eye(3))] * 3,
+        [
+            View(
+                without_objects(np.full((1, 2, 3), 100, np.uint8), np.zeros((1, 2), bool)),
+                np.eye(3),
+            )
+        ]
+        * 3,
     )
     image = np.array([[[100, 100, 100], [110, 70, 105]]], np.uint8)
     assert difference_from(background, image).tolist() == [[0, 30]]
@@ -173,5 +180,5 @@ def test_shimmer_excuses_edges_and_nothing_else() -> None:
 def test_a_still_scene_deviates_as_noise_does() -> None:
     views = noisy_views(30, 4.0)
     background = background_in(WHOLE, views)
-    deviation = deviation_from(background, views[3].image, tilt=0.1)
+    deviation = deviation_from(background, views[3].scene[..., :-1], tilt=0.1)
     assert np.mean(deviation > 3.0) < 0.01

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from turbseg_ros.segmentation.background import Box, View, background_in
+from turbseg_ros.segmentation.background import Box, View, background_in, without_objects
 from turbseg_ros.segmentation.motion import MotionEstimate
 from turbseg_ros.segmentation.region_growing import Region, Seed
 from turbseg_ros.segmentation.silhouette import (
@@ -57,7 +57,7 @@ def ground_of(channels: int) -> np.ndarray:
 
 
 def still_views(ground: np.ndarray, objects: Mask = NOTHING) -> list[View]:
-    return [View(noisy(ground, seed), objects, np.eye(3)) for seed in range(10)]
+    return [View(without_objects(noisy(ground, seed), objects), np.eye(3)) for seed in range(10)]
 
 
 def area_around(*objects: Mask, margin: int = 7) -> MovingArea:

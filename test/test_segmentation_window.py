@@ -222,8 +222,11 @@ def test_objects_are_remembered_with_their_frame() -> None:
     window = filled(3)
     objects = np.ones((2, 2), bool)
     window.mark_objects(1, objects)
-    assert window[1].objects is objects
-    assert window[0].objects is None
+    scene = window[1].scene
+    assert scene is not None
+    np.testing.assert_array_equal(scene[..., :-1], window[1].detail)
+    assert (scene[..., -1] == 255).all()
+    assert window[0].scene is None
 
 
 def test_objects_of_a_frame_that_is_gone_are_no_matter() -> None:
@@ -290,7 +293,7 @@ def test_a_prepared_frame_has_the_sizes_of_its_resolution(colours: tuple[int, ..
     prepared = prepare(picture, resolution, 0, None)
     assert prepared.grey.shape == resolution.processing[::-1]
     assert prepared.detail.shape == (*resolution.detail[::-1], *(colours or (1,)))
-    assert prepared.objects is None
+    assert prepared.scene is None
     np.testing.assert_array_equal(prepared.from_previous, np.eye(3))
 
 

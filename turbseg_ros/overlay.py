@@ -34,7 +34,7 @@ _PALETTE: tuple[Colour, ...] = (
     (255, 135, 195),
 )
 _SHADOW: Colour = (20, 20, 20)
-_WHITE: Colour = (245, 245, 245)
+WHITE: Colour = (245, 245, 245)
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 # Height of a capital letter at scale 1, in pixels.
 _FONT_HEIGHT = 21.0
@@ -120,7 +120,7 @@ class TruthAnnotator:
             (self.truth != 0).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE
         )
         on_canvas = [canvas.fixed_point(contour.reshape(-1, 2)) for contour in contours]
-        cv2.polylines(canvas.image, on_canvas, True, _WHITE, 1, cv2.LINE_AA, _SHIFT)
+        cv2.polylines(canvas.image, on_canvas, True, WHITE, 1, cv2.LINE_AA, _SHIFT)
 
 
 @dataclass(frozen=True)
@@ -145,7 +145,7 @@ class IdAnnotator:
         for moving_object in result.objects:
             x, y, width, _ = moving_object.box
             corner = (round((x + width) * canvas.scale) + 2, round(y * canvas.scale) - 2)
-            _write(canvas, str(moving_object.id), corner, colour_of(moving_object.id))
+            write_text(canvas, str(moving_object.id), corner, colour_of(moving_object.id))
 
 
 DEFAULT_ANNOTATORS: tuple[Annotator, ...] = (
@@ -191,7 +191,7 @@ class OverlayStrip:
         """Take the sequence's next result; it is drawn if its turn has come."""
         if self._seen in self._wanted:
             canvas = draw_overlay(result, self._annotators, self._tile_width)
-            _write(canvas, f"frame {self._seen}", (4, 0), _WHITE)
+            write_text(canvas, f"frame {self._seen}", (4, 0), WHITE)
             self._tiles.append(canvas.image)
         self._seen += 1
 
@@ -200,7 +200,7 @@ class OverlayStrip:
 
         :raises ValueError: when there was no result.
         """
-        return _grid(self._tiles, columns)
+        return grid(self._tiles, columns)
 
 
 def evenly_spaced(total: int, wanted: int) -> list[int]:
@@ -234,7 +234,7 @@ def write_picture(path: Path, picture: npt.NDArray[np.uint8]) -> None:
         partial.unlink(missing_ok=True)
 
 
-def _grid(
+def grid(
     tiles: Sequence[npt.NDArray[np.uint8]], columns: int, gap: int = 4
 ) -> npt.NDArray[np.uint8]:
     """Lay out tiles on white, in cells of the largest one's size."""
@@ -253,7 +253,7 @@ def _grid(
     return grid
 
 
-def _write(canvas: Canvas, text: str, corner: tuple[int, int], colour: Colour) -> None:
+def write_text(canvas: Canvas, text: str, corner: tuple[int, int], colour: Colour) -> None:
     """Write text with its lower left at `corner`, moved inside the canvas where it must be."""
     canvas_height, canvas_width = canvas.image.shape[:2]
     ink = _ink(text, canvas.text_scale)[:canvas_height, :canvas_width]

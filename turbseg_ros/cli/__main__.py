@@ -31,6 +31,7 @@ import_ = _starter("import_")
 benchmark = _starter("benchmark")
 train = _starter("train")
 demo = _starter("demo")
+stages = _starter("stages")
 
 _STARTERS = {
     "node": node,
@@ -42,6 +43,7 @@ _STARTERS = {
     "benchmark": benchmark,
     "train": train,
     "demo": demo,
+    "stages": stages,
 }
 
 

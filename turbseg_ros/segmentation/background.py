@@ -22,8 +22,8 @@ Matrix = npt.NDArray[np.float64]
 
 # A pixel's background is known once so many frames have shown it.
 _FEWEST_SAMPLES = 3
-# Pixels without a sample sort last.
-_BRIGHTEST = 255
+# Value of the channel that tells where objects hide the scene: no grey value is higher.
+_HIDDEN = 255
 # Interquartile range of a normal variable, in standard deviations.
 _IQR_TO_SIGMA = 1.0 / 1.349
 # Grey values closer than this are the same, whatever the camera.
@@ -83,15 +83,21 @@ class Box:
 
 @dataclass(frozen=True)
 class View:
-    """Another frame of the same scene: image, which pixels are objects, and where it looks.
+    """Another frame of the same scene, and where it looks.
 
-    `objects` is a mask of the image's size; `to_image` takes the reference frame's pixel
-    coordinates to the image's.
+    `scene` is the frame with a channel more, HxWx(C+1), see :func:`without_objects`; `to_image`
+    takes the reference frame's pixel coordinates to its own.
     """
 
-    image: Image
-    objects: Mask
+    scene: Image
     to_image: Matrix
+
+
+def without_objects(image: Image, objects: Mask) -> Image:
+    """Give an image, HxWxC, a last channel that is 255 where objects hide the scene, else 0."""
+    hidden = objects.view(np.uint8) * np.uint8(_HIDDEN)
+    scene: Image = cv2.merge([*cv2.split(image), hidden])
+    return scene
 
 
 @dataclass(frozen=True)
@@ -109,18 +115,20 @@ class Background:
 
 def background_in(box: Box, views: Sequence[View]) -> Background:
     """Estimate the background within a box of the reference frame from other views of it."""
-    pictures, hidden = zip(*(_sampled(view, box) for view in views), strict=True)
+    pictures = [_sampled(view, box) for view in views]
     count = np.zeros(box.shape, np.intp)
-    for picture, obscured in zip(pictures, hidden, strict=True):
-        picture[obscured] = _BRIGHTEST
-        count += ~obscured
+    for picture in pictures:
+        hidden = picture[..., -1] > 127
+        # So that they sort last.
+        picture[hidden] = _HIDDEN
+        count += ~hidden
     samples = np.stack(_ordered(pictures))
     rows, columns = np.indices(box.shape, sparse=True)
     last = np.maximum(count - 1, 0)
 
     def quantile(quarters: int) -> Map:
         chosen = samples[(last * quarters + 2) // 4, rows, columns]
-        return np.asarray(chosen, np.float32)
+        return np.asarray(chosen[..., :-1], np.float32)
 
     return Background(
         median=quantile(2),
@@ -206,24 +214,16 @@ def _slope(picture: Map) -> Map:
     return slope
 
 
-def _sampled(view: View, box: Box) -> tuple[Image, Mask]:
-    """Resample a view in a box, hxwxC; the mask, hxw, tells pixels of objects or out of view."""
+def _sampled(view: View, box: Box) -> Image:
+    """Resample a view in a box, hxwx(C+1); what is out of view counts as hidden."""
     height, width = box.shape
     to_box = np.array([[1.0, 0.0, box.x0], [0.0, 1.0, box.y0], [0.0, 0.0, 1.0]])
-    transform = (view.to_image @ to_box)[:2]
-    image = cv2.warpAffine(
-        view.image,
-        transform,
+    sampled: Image = cv2.warpAffine(
+        view.scene,
+        (view.to_image @ to_box)[:2],
         (width, height),
         flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
-        borderMode=cv2.BORDER_REPLICATE,
-    ).reshape(height, width, -1)
-    hidden = cv2.warpAffine(
-        view.objects.view(np.uint8),
-        transform,
-        (width, height),
-        flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP,
         borderMode=cv2.BORDER_CONSTANT,
-        borderValue=1,
+        borderValue=(_HIDDEN,) * view.scene.shape[2],
     )
-    return image, hidden > 0
+    return sampled

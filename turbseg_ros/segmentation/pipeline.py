@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from turbseg_ros.parameters import Parameters
 from turbseg_ros.segmentation import region_growing
-from turbseg_ros.segmentation.background import Box, View
+from turbseg_ros.segmentation.background import View, without_objects
 from turbseg_ros.segmentation.flow import FlowBackend, flows_to
 from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResult, label_of
 from turbseg_ros.segmentation.motion import (
@@ -35,6 +35,7 @@ from turbseg_ros.segmentation.silhouette import (
     enlarged,
     moving_areas,
     object_windows,
+    resampled,
     silhouettes,
     union,
 )
@@ -349,26 +350,25 @@ class MotionSegmenter:
         for index in self._window.key_frames(centre):
             key = self._window[index]
             to_image = self._resolution.to_detail(self._window.transform(centre, index))
-            objects = key.objects
-            if objects is None:
+            scene = key.scene
+            if scene is None:
                 objects = self._headed(areas, index - centre, to_image)
-            views.append(View(key.detail, objects, to_image))
+                scene = without_objects(key.detail, objects)
+            views.append(View(scene, to_image))
         return views
 
     def _headed(self, areas: Sequence[MovingArea], frames: int, to_image: Matrix) -> Mask:
         """Give the cores of moving areas so many frames on, HxW, in that frame's pixels."""
-        height, width = self._detail_shape
-        objects = np.zeros((height, width), np.uint8)
+        objects = np.zeros(self._detail_shape, bool)
         for area in areas:
+            if not area.core.any():
+                continue
+            core = Outline.of(area.core)
             vx, vy = area.velocity
             step = np.array([[1.0, 0.0, vx * frames], [0.0, 1.0, vy * frames], [0.0, 0.0, 1.0]])
-            objects |= cv2.warpAffine(
-                area.core.astype(np.uint8),
-                (to_image @ step)[:2],
-                (width, height),
-                flags=cv2.INTER_NEAREST,
-            )
-        return objects > 0
+            moved = resampled(core, to_image @ step, self._detail_shape, cv2.INTER_NEAREST)
+            objects[moved.box.slices] |= moved.mask
+        return objects
 
 
 def _identity_keeper(parameters: Parameters) -> IdentityKeeper:
@@ -433,11 +433,12 @@ def _result(pending: _Pending) -> SegmentationResult:
     for observation in pending.observations:
         if not observation.track.confirmed:
             continue
-        mask = _at_input_resolution(observation.candidate, pending.resolution)
-        mask &= labels == 0
+        found = _at_input_resolution(observation.candidate, pending.resolution)
+        there = labels[found.box.slices]
+        mask = found.mask & (there == 0)
         if mask.any():
-            labels[mask] = label_of(observation.track.id)
-            objects.append(_moving_object(observation, mask, scale))
+            there[mask] = label_of(observation.track.id)
+            objects.append(_moving_object(observation, Outline(found.box, mask), scale))
     processing_scale = width / pending.resolution.processing[0]
     motion = pending.motion
     return SegmentationResult(
@@ -454,25 +455,30 @@ def _result(pending: _Pending) -> SegmentationResult:
     )
 
 
-def _at_input_resolution(candidate: Candidate, resolution: Resolution) -> Mask:
-    mask = np.zeros(resolution.detail[::-1], np.float32)
-    mask[candidate.box.slices] = candidate.mask
+def _at_input_resolution(candidate: Candidate, resolution: Resolution) -> Outline:
+    outline = Outline(candidate.box, candidate.mask)
     if resolution.detail == resolution.input:
-        return mask > 0.5
-    enlarged: Mask = cv2.resize(mask, resolution.input, interpolation=cv2.INTER_LINEAR) > 0.5
-    return enlarged
+        return outline
+    x, y = (there / here for there, here in zip(resolution.input, resolution.detail, strict=True))
+    # Pixel centres lie at whole numbers, so the scaled grid is shifted by half a pixel.
+    enlargement = np.array([[x, 0, (x - 1) / 2], [0, y, (y - 1) / 2], [0, 0, 1]])
+    return resampled(outline, enlargement, resolution.input[::-1], cv2.INTER_LINEAR)
 
 
-def _moving_object(observation: Observation, mask: Mask, scale: float) -> MovingObject:
-    box = Box.around(mask)
-    y, x = np.nonzero(mask[box.slices])
+def _moving_object(observation: Observation, outline: Outline, scale: float) -> MovingObject:
+    box = Outline.of(outline.mask, outline.box.x0, outline.box.y0).box
+    moments = cv2.moments(outline.mask.view(np.uint8), binaryImage=True)
+    area = moments["m00"]
     vx, vy = observation.velocity
     return MovingObject(
         id=observation.track.id,
         slot=observation.track.slot,
-        centroid=(float(x.mean()) + box.x0, float(y.mean()) + box.y0),
+        centroid=(
+            moments["m10"] / area + outline.box.x0,
+            moments["m01"] / area + outline.box.y0,
+        ),
         velocity=(vx * scale, vy * scale),
-        area=len(x),
+        area=int(area),
         box=(box.x0, box.y0, box.x1 - box.x0, box.y1 - box.y0),
         trail=tuple((px * scale, py * scale) for px, py in observation.trail),
     )

@@ -25,6 +25,7 @@ from turbseg_ros.segmentation.region_growing import Region, Seed
 Map = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.bool_]
 Image = npt.NDArray[np.uint8]
+Matrix = npt.NDArray[np.float64]
 
 # Pixels around what moves that are looked at with it.
 _MARGIN = 8
@@ -283,10 +284,14 @@ def guided_filter(guide: Map, source: Map, radius: int, epsilon: float) -> Map:
 def _usual_difference(difference: Map, certain: Mask) -> Map:
     """Give what the strongest patch of certain pixels nearby differs by, 0 far from any, hxw."""
     count, patches = cv2.connectedComponents(certain.astype(np.uint8))
-    usual = [0.0] + [float(np.percentile(difference[patches == k], 80)) for k in range(1, count)]
-    nearby: Map = cv2.dilate(
-        np.asarray(usual, np.float32)[patches], np.ones((_NEARBY, _NEARBY), np.uint8)
-    )
+    owner, values = patches[certain], difference[certain]
+    ordered = values[np.lexsort((values, owner))]
+    sizes = np.bincount(owner, minlength=count)
+    usual = np.zeros(count, np.float32)
+    # The 80th percentile of each patch: its values follow one another, the least first.
+    first = np.cumsum(sizes) - sizes
+    usual[1:] = ordered[first[1:] + np.rint(0.8 * (sizes[1:] - 1)).astype(int)]
+    nearby: Map = cv2.dilate(usual[patches], np.ones((_NEARBY, _NEARBY), np.uint8))
     return nearby
 
 
@@ -407,9 +412,43 @@ def enlarged(mask: Mask, size: tuple[int, int]) -> Mask:
     return resized
 
 
+def resampled(
+    outline: Outline, transform: Matrix, shape: tuple[int, int], interpolation: int
+) -> Outline:
+    """Give an outline in the pixels of another image of some shape, whole or what is in there.
+
+    :param transform: 3x3, affine: takes the outline's frame to that image.
+    """
+    here = outline.box
+    corners = np.array(
+        [[here.x0, here.x1, here.x0, here.x1], [here.y0, here.y0, here.y1, here.y1]]
+    )
+    x, y = transform[:2, :2] @ (corners - 0.5) + transform[:2, 2:]
+    there = Box(
+        int(np.clip(np.floor(x.min()), 0, shape[1])),
+        int(np.clip(np.floor(y.min()), 0, shape[0])),
+        int(np.clip(np.ceil(x.max()) + 1, 0, shape[1])),
+        int(np.clip(np.ceil(y.max()) + 1, 0, shape[0])),
+    )
+    height, width = there.shape
+    if not (height and width):
+        return Outline(there, np.zeros(there.shape, bool))
+    from_here = np.array([[1.0, 0.0, here.x0], [0.0, 1.0, here.y0], [0.0, 0.0, 1.0]])
+    to_there = np.array([[1.0, 0.0, -there.x0], [0.0, 1.0, -there.y0], [0.0, 0.0, 1.0]])
+    mask = cv2.warpAffine(
+        outline.mask.astype(np.uint8) * np.uint8(255),
+        (to_there @ transform @ from_here)[:2],
+        (width, height),
+        flags=interpolation,
+    )
+    return Outline(there, mask > 127)
+
+
 def union(masks: Sequence[Mask], shape: tuple[int, int]) -> Mask:
     """Give the union of masks of one shape, which may be none."""
-    joined: Mask = np.logical_or.reduce([np.zeros(shape, bool), *masks])
+    joined = np.zeros(shape, bool)
+    for mask in masks:
+        joined |= mask
     return joined
 
 

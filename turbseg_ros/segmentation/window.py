@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from turbseg_ros.segmentation.background import without_objects
 from turbseg_ros.segmentation.stabilization import register_affine
 
 Mask = npt.NDArray[np.bool_]
@@ -81,7 +82,7 @@ class PreparedFrame:
     `grey` is at processing resolution, `detail` HxWxC at detail resolution, both uint8;
     `from_previous` takes the pixels (of `grey`) of the frame before in the window to this one's;
     `continues` tells whether the two have anything in common;
-    `objects` tells, at detail resolution and once known, which pixels are objects.
+    `scene` is, once the frame's objects are known, `detail` without them (`View.scene`).
     """
 
     index: int
@@ -89,7 +90,7 @@ class PreparedFrame:
     detail: ByteImage
     from_previous: Matrix
     continues: bool = True
-    objects: Mask | None = None
+    scene: ByteImage | None = None
 
 
 def prepare(
@@ -174,7 +175,8 @@ class FrameWindow:
     def mark_objects(self, index: int, objects: Mask) -> None:
         """Remember which pixels of a frame are objects, not background."""
         if index in self._frames:
-            self._frames[index] = replace(self._frames[index], objects=objects)
+            frame = self._frames[index]
+            self._frames[index] = replace(frame, scene=without_objects(frame.detail, objects))
 
     def shows_scene(self, index: int) -> bool:
         """Tell whether a frame has anything in common with the one before or after it.

@@ -1,0 +1,60 @@
+"""Fuzz the way from a message to a picture: a frame that the method takes, or a refusal."""
+
+from __future__ import annotations
+
+import sys
+
+import atheris
+
+with atheris.instrument_imports(include=["turbseg_ros"]):
+    from turbseg_ros.ros import image_conversion
+    from turbseg_ros.ros.image_conversion import ImageConversionError, frame_from_message
+    from turbseg_ros.segmentation.tone import ToneMap
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from sensor_msgs.msg import CompressedImage, Image
+
+ENCODINGS = [*image_conversion._LAYOUTS, "", "mono12"]
+
+
+def message_of(provider: atheris.FuzzedDataProvider) -> Image | CompressedImage:
+    stamp = Time(
+        sec=provider.ConsumeIntInRange(-(2**31), 2**31 - 1),
+        nanosec=provider.ConsumeIntInRange(0, 2**32 - 1),
+    )
+    if provider.ConsumeBool():
+        message = CompressedImage(format="png")
+    else:
+        largest = 2**32 - 1 if provider.ConsumeProbability() < 0.1 else 64
+        message = Image(
+            encoding=provider.PickValueInList(ENCODINGS),
+            height=provider.ConsumeIntInRange(0, largest),
+            width=provider.ConsumeIntInRange(0, largest),
+            step=provider.ConsumeIntInRange(0, 8 * largest if largest == 64 else largest),
+            is_bigendian=provider.ConsumeIntInRange(0, 255),
+        )
+    message.header.stamp = stamp
+    message.data.frombytes(provider.ConsumeBytes(provider.remaining_bytes()))
+    return message
+
+
+def try_one(data: bytes) -> None:
+    message = message_of(atheris.FuzzedDataProvider(data))
+    try:
+        frame = frame_from_message(message)
+    except ImageConversionError as error:
+        assert "\n" not in str(error)
+        return
+    assert frame.image.ndim == 2 or frame.image.shape[2] == 3
+    assert frame.image.dtype in (np.uint8, np.uint16, np.float32)
+    if isinstance(message, Image):
+        assert frame.image.shape[:2] == (message.height, message.width)
+    picture = ToneMap()(frame.image)
+    assert picture.dtype == np.uint8
+    assert picture.shape == frame.image.shape
+
+
+if __name__ == "__main__":
+    atheris.Setup(sys.argv, try_one)
+    atheris.Fuzz()

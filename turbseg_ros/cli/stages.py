@@ -1,0 +1,152 @@
+"""The picture of the method's stages in the README: `python -m turbseg_ros.cli stages`."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from turbseg_ros.bag.reader import BagReader
+from turbseg_ros.cli.errors import UsageError, executable
+from turbseg_ros.cli.options import add_parameter_options, parameters_from, with_progress
+from turbseg_ros.evaluation.replay import BagFrames, segment
+from turbseg_ros.overlay import (
+    WHITE,
+    Canvas,
+    colour_of,
+    draw_overlay,
+    grid,
+    write_picture,
+    write_text,
+)
+from turbseg_ros.segmentation.frame import SegmentationResult
+from turbseg_ros.segmentation.motion import MotionEstimate
+from turbseg_ros.segmentation.pipeline import MotionSegmenter
+from turbseg_ros.segmentation.region_growing import Region
+from turbseg_ros.segmentation.tracking import Candidate
+
+Picture = npt.NDArray[np.uint8]
+
+_TILE_WIDTH = 480
+# M in standard deviations of its noise that is shown at full brightness.
+_BRIGHTEST = 20.0
+
+
+@dataclass(frozen=True)
+class Stages:
+    """What the stages made of one frame; `candidates` lie in a picture of `detail_width`."""
+
+    motion: MotionEstimate
+    regions: Sequence[Region]
+    candidates: Sequence[Candidate]
+    detail_width: int
+
+
+class WatchedSegmenter(MotionSegmenter):
+    """Segments as ever, and keeps what the stages made of the frame with one stamp."""
+
+    stages: Stages | None = None
+    watched_stamp = -1
+
+    def _outlines(self, centre: int, moving: Any, *rest: Any) -> list[Candidate]:
+        candidates = super()._outlines(centre, moving, *rest)
+        if rest[-1] == self.watched_stamp:
+            width = self._detail_shape[1]
+            self.stages = Stages(moving.motion, moving.regions, candidates, width)
+        return candidates
+
+
+@executable("stages")
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Draw the picture; give the exit status."""
+    options = _parser().parse_args(arguments)
+    segmenter = WatchedSegmenter(parameters_from(options))
+    reader = BagReader(options.bag)
+    frames = BagFrames(reader, reader.find_image_topic(options.image_topic))
+    stamps = [frame.stamp for frame in frames]
+    if not 0 <= options.frame < len(stamps):
+        raise UsageError(f"--frame {options.frame}: {options.bag} has {len(stamps)} frames")
+    segmenter.watched_stamp = stamps[options.frame]
+    results = segment(with_progress(frames, reader.path.name), segmenter)
+    (result,) = [result for result in results if result.frame.stamp == segmenter.watched_stamp]
+    if segmenter.stages is None:
+        raise UsageError(f"nothing to compare frame {options.frame} with")
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    write_picture(options.out, grid(list(_tiles(result, segmenter.stages)), columns=3))
+    return 0
+
+
+def _tiles(result: SegmentationResult, stages: Stages) -> Iterator[Picture]:
+    titles = {
+        "1 frame": Canvas.of(result.frame.image, _TILE_WIDTH),
+        "2 velocity against the scene": Canvas.of(_velocity(stages.motion), _TILE_WIDTH),
+        "3 motion in units of its noise": Canvas.of(_heat(stages.motion), _TILE_WIDTH),
+        "4 seeds and regions": Canvas.of(_regions(stages), _TILE_WIDTH),
+        "5 outlines against the background": _outlined(result, stages),
+        "6 objects, once sure": draw_overlay(result, width=_TILE_WIDTH),
+    }
+    height = titles["1 frame"].image.shape[0]
+    for title, canvas in titles.items():
+        write_text(canvas, title, (4, 0), WHITE)
+        yield canvas.image[:height]
+
+
+def _velocity(motion: MotionEstimate) -> Picture:
+    """Colour velocity as optical flow is: hue for direction, brightness for speed."""
+    speed, angle = cv2.cartToPolar(motion.velocity[..., 0], motion.velocity[..., 1])
+    hsv = np.full((*speed.shape, 3), 255, np.uint8)
+    hsv[..., 0] = angle * (90.0 / np.pi)
+    hsv[..., 2] = np.clip(255.0 * speed / max(float(np.percentile(speed, 99.5)), 0.1), 0, 255)
+    return np.asarray(cv2.cvtColor(hsv, cv2.COLOR_HSV2BGR))
+
+
+def _heat(motion: MotionEstimate) -> Picture:
+    strength = np.clip(motion.motion_map / motion.noise * (255.0 / _BRIGHTEST), 0, 255)
+    return np.asarray(cv2.applyColorMap(strength.astype(np.uint8), cv2.COLORMAP_INFERNO))
+
+
+def _regions(stages: Stages) -> Picture:
+    picture = np.full((*stages.motion.motion_map.shape, 3), 40, np.uint8)
+    for number, region in enumerate(stages.regions):
+        picture[region.mask] = np.array(colour_of(number)) * 0.6
+        cv2.circle(picture, (region.seed.x, region.seed.y), 3, WHITE, -1, cv2.LINE_AA)
+    return picture
+
+
+def _outlined(result: SegmentationResult, stages: Stages) -> Canvas:
+    canvas = Canvas.of(result.frame.image, _TILE_WIDTH)
+    scale = _TILE_WIDTH / stages.detail_width
+    for candidate in stages.candidates:
+        contours, _ = cv2.findContours(
+            candidate.mask.astype(np.uint8),
+            cv2.RETR_EXTERNAL,
+            cv2.CHAIN_APPROX_NONE,
+            offset=(candidate.box.x0, candidate.box.y0),
+        )
+        scaled = [np.rint((contour + 0.5) * scale - 0.5).astype(np.int32) for contour in contours]
+        cv2.polylines(canvas.image, scaled, True, WHITE, 1, cv2.LINE_AA)
+    return canvas
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="stages", description="Draw what each stage of the method makes of one frame."
+    )
+    parser.add_argument("bag", type=Path, metavar="BAG", help="rosbag2 directory or MCAP file")
+    parser.add_argument(
+        "-o", "--out", type=Path, required=True, metavar="PICTURE", help="PNG or JPEG to write"
+    )
+    parser.add_argument(
+        "--frame", type=int, default=30, metavar="N", help="number of the frame (%(default)s)"
+    )
+    parser.add_argument(
+        "--image-topic", metavar="T", help="images to segment, where the bag has several topics"
+    )
+    add_parameter_options(parser)
+    return parser
