@@ -22,6 +22,9 @@ _LARGEST_PERSON = 0.25
 _SPEEDS = 0.0006, 0.02
 _TILTS = 0.08, 2.0
 _EMPTY = 0.08
+# Landscapes and objects that are like nothing known, lest the network learn how ours look.
+_COLLAGE = 0.55
+_PATCHWORK = 0.45
 _THERMAL = 0.2
 
 
@@ -34,7 +37,7 @@ def random_scene(rng: np.random.Generator, frames: int) -> Scene:
     return Scene(
         name="random",
         summary="drawn at random",
-        landscape=str(rng.choice(list(PAINTERS))),
+        landscape="collage" if rng.random() < _COLLAGE else str(rng.choice(list(PAINTERS))),
         turbulence=Turbulence.typical(_log_uniform(rng, *_TILTS) * width / 432, width),
         objects=tuple(
             _random_object(rng, number, width, height, frames) for number in range(1, count + 1)
@@ -51,7 +54,7 @@ def random_scene(rng: np.random.Generator, frames: int) -> Scene:
 def _random_object(
     rng: np.random.Generator, number: int, width: int, height: int, frames: int
 ) -> SceneObject:
-    kind = str(rng.choice(list(KINDS)))
+    kind = "patchwork" if rng.random() < _PATCHWORK else str(rng.choice(list(KINDS)))
     size = _log_uniform(rng, *_SIZES) * width
     if kind == "person":
         size = min(size, _LARGEST_PERSON * width)

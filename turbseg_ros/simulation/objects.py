@@ -301,6 +301,34 @@ def _bird(phase: float, paint: Colour) -> list[Part]:
     ]  # fmt: skip
 
 
+def _patchwork(_phase: float, paint: Colour) -> list[Part]:
+    """Draw what is like nothing known: an odd outline with patches of other tones.
+
+    The paint decides the shape too.
+    """
+    rng = np.random.default_rng([round(share * 1e6) for share in paint])
+    angles = np.linspace(0.0, 2 * math.pi, 40, endpoint=False)
+    radii = np.ones_like(angles)
+    for k in (2, 3, 4, 6):
+        radii += rng.uniform(-0.25, 0.25) * np.cos(k * angles + rng.uniform(0.0, 2 * math.pi))
+    radii /= radii.max()
+    height = float(np.exp(rng.uniform(np.log(0.3), np.log(2.2))))
+    x, y = 0.5 + 0.5 * radii * np.cos(angles), height * (0.5 + 0.5 * radii * np.sin(angles))
+    parts = [Part(tuple(zip(x.tolist(), y.tolist(), strict=True)), paint, 0.8)]
+    for _ in range(int(rng.integers(0, 8))):
+        place, angle = rng.uniform(0.0, 0.3), rng.uniform(0.0, 2 * math.pi)
+        middle = 0.5 + place * np.cos(angle), height * (0.5 + place * np.sin(angle))
+        rx, ry = rng.uniform(0.03, 0.18, 2) * (1.0, height)
+        parts.append(
+            Part(
+                _ellipse(*middle, rx, ry, rng.uniform(0.0, math.pi)),
+                _shade(paint, float(rng.uniform(0.3, 3.0))),
+                float(rng.uniform(0.3, 1.0)),
+            )
+        )
+    return parts
+
+
 @dataclass(frozen=True)
 class Kind:
     """A kind of object: how it is drawn and how it moves.
@@ -327,6 +355,7 @@ KINDS: dict[str, Kind] = {
     "helicopter": Kind(_helicopter, cycle_frames=2.3),
     "drone": Kind(_drone, cycle_frames=1.7),
     "bird": Kind(_bird, cycle_frames=9),
+    "patchwork": Kind(_patchwork),
 }
 
 

@@ -185,8 +185,40 @@ def lakeside(extent: Extent, palette: Palette, rng: np.random.Generator) -> Back
     return Backdrop(painting, animations=(lake, flag, far, near))
 
 
+def collage(extent: Extent, palette: Palette, rng: np.random.Generator) -> Backdrop:
+    """Paint nothing in particular: patches of every size and tone that hide one another.
+
+    Such "dead leaves" have the statistics of photographs (Lee, Mumford and Huang 2001): as many
+    edges at every scale, whatever the subject.
+    """
+    brush = Brush(extent, palette, rng)
+    middle, contrast = float(rng.uniform(0.3, 0.7)), float(rng.uniform(0.15, 1.0))
+    colourful = 0.06 if palette.relief == 1.0 else 0.0
+
+    def colour() -> Colour:
+        tone = middle + contrast * palette.relief * float(rng.uniform(-0.45, 0.45))
+        blue, green, red = np.clip(tone + colourful * rng.standard_normal(3), 0.02, 0.98)
+        return float(blue), float(green), float(red)
+
+    brush.rectangle(brush.left, brush.top, brush.right, brush.bottom, colour(), 0.1)
+    smallest, largest = 0.012, 0.5
+    number = round(1500 * (brush.right - brush.left) * (brush.bottom - brush.top) / 2)
+    # Areas are so distributed that each octave of sizes covers as much as any other.
+    share = 1.0 - (smallest / largest) ** 2
+    radii = smallest / np.sqrt(1.0 - share * rng.random(number))
+    for radius in np.sort(radii)[::-1] if rng.random() < 0.3 else radii:
+        corners = int(rng.choice([3, 4, 5, 12]))
+        angles = np.sort(rng.uniform(0.0, 2 * math.pi, corners))
+        x = rng.uniform(brush.left, brush.right) + radius * rng.uniform(0.3, 1.5) * np.cos(angles)
+        y = rng.uniform(brush.top, brush.bottom) + radius * np.sin(angles)
+        points = list(zip(x.tolist(), y.tolist(), strict=True))
+        brush.fill(points, colour(), float(rng.uniform(0.0, 0.15)))
+    return Backdrop(brush.finish())
+
+
 PAINTERS: dict[str, Painter] = {
-    painter.__name__: painter for painter in (town, town_behind_poles, fields, open_sky, lakeside)
+    painter.__name__: painter
+    for painter in (town, town_behind_poles, fields, open_sky, lakeside, collage)
 }
 
 
