@@ -11,13 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from turbseg_ros.segmentation.background import Box
-from turbseg_ros.segmentation.tracking import (
-    Candidate,
-    KMeansUnifier,
-    ObjectTracker,
-    Observation,
-    unify_by_kmeans,
-)
+from turbseg_ros.segmentation.track import Candidate, Observation
+from turbseg_ros.segmentation.tracking import ObjectTracker
+from turbseg_ros.segmentation.unification import KMeansUnifier, unify_by_kmeans
 
 STILL_CAMERA = np.eye(3)
 CONFIRMATION, PATIENCE, SLOTS = 4, 10, 3

@@ -29,7 +29,7 @@ from turbseg_ros.segmentation.frame import SegmentationResult
 from turbseg_ros.segmentation.motion import MotionEstimate
 from turbseg_ros.segmentation.pipeline import MotionSegmenter
 from turbseg_ros.segmentation.region_growing import Region
-from turbseg_ros.segmentation.tracking import Candidate
+from turbseg_ros.segmentation.track import Candidate
 
 Picture = npt.NDArray[np.uint8]
 

@@ -41,13 +41,9 @@ from turbseg_ros.segmentation.silhouette import (
 )
 from turbseg_ros.segmentation.stabilization import align, visible
 from turbseg_ros.segmentation.tone import ToneMap
-from turbseg_ros.segmentation.tracking import (
-    Candidate,
-    IdentityKeeper,
-    KMeansUnifier,
-    ObjectTracker,
-    Observation,
-)
+from turbseg_ros.segmentation.track import Candidate, IdentityKeeper, Observation
+from turbseg_ros.segmentation.tracking import ObjectTracker
+from turbseg_ros.segmentation.unification import KMeansUnifier
 from turbseg_ros.segmentation.window import FrameWindow, Resolution, prepare
 
 Mask = npt.NDArray[np.bool_]

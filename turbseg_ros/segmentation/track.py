@@ -1,0 +1,289 @@
+"""One object through time: where it was seen, where it is expected, whether it behaves like one.
+
+Positions and masks are in detail pixels. Before each frame a track is carried along by the
+ego-motion, so that velocities are against the scene.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from turbseg_ros.segmentation.background import Box
+
+Mask = npt.NDArray[np.bool_]
+Matrix = npt.NDArray[np.float64]
+Point = npt.NDArray[np.float64]
+
+_TRAIL_LENGTH = 60
+# Share of the way its flow claims that an object must really have come, or it ends: flow bleeds
+# past an object's edge, and what sways or ripples gets nowhere.
+_LEAST_HONESTY = 0.25
+# Frames over which an object's way is compared with what it claims.
+_HONESTY_SPAN = 24
+SHAPE_SPAN = 12
+"""Frames over which an object's masks are compared with each other."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A silhouette that may be an object: hxw mask within its box, and how it moves.
+
+    `velocity` is in pixels a frame against the scene; `moving` tells whether motion was found in
+    this frame, or only an outline that stands out where an object is known to be.
+    """
+
+    box: Box
+    mask: Mask
+    velocity: tuple[float, float]
+    moving: bool
+
+    @property
+    def area(self) -> int:
+        """Number of its pixels."""
+        return int(np.count_nonzero(self.mask))
+
+    @property
+    def centroid(self) -> Point:
+        """Mean (x, y) of its pixels."""
+        moments = cv2.moments(self.mask.astype(np.uint8), binaryImage=True)
+        area = max(moments["m00"], 1.0)
+        return np.array([moments["m10"] / area + self.box.x0, moments["m01"] / area + self.box.y0])
+
+
+@dataclass(eq=False)
+class Track:
+    """One object through time."""
+
+    candidate: Candidate
+    kalman: cv2.KalmanFilter
+    birthplace: Point
+    id: int = 0
+    slot: int = -1
+    hits: int = 1
+    misses: int = 0
+    still: int = 0
+    claims: list[float] = field(default_factory=list)
+    likeness: list[float] = field(default_factory=list)
+    confirmed: bool = False
+    trail: list[Point] = field(default_factory=list)
+
+    @classmethod
+    def started(cls, candidate: Candidate, tilt: float) -> Track:
+        """Begin a track where a candidate was seen.
+
+        :param tilt: rms turbulent motion an axis in pixels.
+        """
+        return cls(candidate, _kalman_at(candidate, tilt), candidate.centroid)
+
+    @property
+    def position(self) -> Point:
+        """Estimated centroid (x, y)."""
+        # A copy: OpenCV gives a view of what the next prediction overwrites.
+        return np.array(self.kalman.statePost[:2, 0], dtype=np.float64)
+
+    @property
+    def size(self) -> float:
+        """Diagonal of the box around it."""
+        return float(np.hypot(*self.candidate.box.shape))
+
+    def keeps_shape(self, frames: int, least: float) -> bool:
+        """Tell whether its masks of the last frames were alike: at least so much IoU a frame."""
+        recent = self.likeness[-frames:]
+        return len(recent) < frames or float(np.mean(recent)) >= least
+
+    def gets_nowhere(self) -> bool:
+        """Tell whether, for a good while, it has come a small part of the way that it claims."""
+        claimed = sum(self.claims[-_HONESTY_SPAN:])
+        if len(self.trail) < _HONESTY_SPAN or claimed < 0.5 * self.size:
+            return False
+        come = float(np.linalg.norm(self.trail[-1] - self.trail[-_HONESTY_SPAN]))
+        return come < _LEAST_HONESTY * claimed
+
+    @property
+    def velocity(self) -> tuple[float, float]:
+        """Estimated velocity in pixels a frame against the scene."""
+        vx, vy = self.kalman.statePost[2:, 0]
+        return float(vx), float(vy)
+
+    @property
+    def _expected_box(self) -> Box:
+        dx, dy = np.rint(self.position - self.candidate.centroid).astype(int)
+        return self.candidate.box.moved(int(dx), int(dy))
+
+    def carry(self, ego_motion: Matrix) -> None:
+        """Take its state into the next frame: by the ego-motion, then by its velocity."""
+        linear = ego_motion[:2, :2]
+        state = self.kalman.statePost
+        state[:2, 0] = linear @ state[:2, 0] + ego_motion[:2, 2]
+        state[2:, 0] = linear @ state[2:, 0]
+        self.kalman.statePost = state
+        self.kalman.predict()
+        self.birthplace = linear @ self.birthplace + ego_motion[:2, 2]
+        self.trail = [linear @ point + ego_motion[:2, 2] for point in self.trail]
+
+    def correct(self, candidate: Candidate) -> None:
+        """Take the candidate that stands for it in this frame."""
+        common = self.common_area(candidate)
+        union = self.candidate.area + candidate.area - common
+        self.likeness = [*self.likeness, common / max(union, 1)][-SHAPE_SPAN:]
+        self.kalman.correct(candidate.centroid.reshape(2, 1))
+        self.candidate = candidate
+        self.hits += 1
+        self.claims = [*self.claims, float(np.hypot(*candidate.velocity))][-_TRAIL_LENGTH:]
+        self.still = 0 if candidate.moving else self.still + 1
+
+    def common_area(self, candidate: Candidate) -> int:
+        """Count the candidate's pixels that lie where its mask is expected now."""
+        expected, found = self._expected_box, candidate.box
+        common = expected.common(found)
+        if common is None:
+            return 0
+        there = self.candidate.mask[common.moved(-expected.x0, -expected.y0).slices]
+        here = candidate.mask[common.moved(-found.x0, -found.y0).slices]
+        return int(np.count_nonzero(there & here))
+
+    def distance_to_expected(self, box: Box) -> npt.NDArray[np.float32]:
+        """Give the distance of each pixel in a box to where its mask is expected, hxw."""
+        expected = self._expected_box
+        free = np.ones(box.shape, np.uint8)
+        common = expected.common(box)
+        if common is not None:
+            there = self.candidate.mask[common.moved(-expected.x0, -expected.y0).slices]
+            free[common.moved(-box.x0, -box.y0).slices] = ~there
+        distance: npt.NDArray[np.float32] = cv2.distanceTransform(free, cv2.DIST_L2, 3)
+        return distance
+
+    def expected_mask(self, ego_motion: Matrix, shape: tuple[int, int]) -> Mask:
+        """Give the mask, HxW, as it should be in the coming frame.
+
+        :param ego_motion: takes the last frame's pixels to the coming one's.
+        """
+        box = self.candidate.box
+        # The position has been carried along since the mask was last seen.
+        way = self.position - self.candidate.centroid + np.asarray(self.velocity)
+        place = np.array([[1.0, 0.0, box.x0 + way[0]], [0.0, 1.0, box.y0 + way[1]], [0, 0, 1.0]])
+        moved: Mask = (
+            cv2.warpAffine(
+                self.candidate.mask.astype(np.uint8),
+                (ego_motion @ place)[:2],
+                (shape[1], shape[0]),
+                flags=cv2.INTER_NEAREST,
+            )
+            > 0
+        )
+        return moved
+
+    def observed(self) -> Observation:
+        """Remember where it is now, and give what is known of it in this frame."""
+        self.trail = [*self.trail, self.position][-_TRAIL_LENGTH:]
+        return Observation(
+            track=self,
+            candidate=self.candidate,
+            velocity=self.velocity,
+            trail=tuple((float(x), float(y)) for x, y in self.trail),
+        )
+
+
+@dataclass(frozen=True)
+class Observation:
+    """A track seen in one frame; `track` may become confirmed only later."""
+
+    track: Track
+    candidate: Candidate
+    velocity: tuple[float, float]
+    trail: tuple[tuple[float, float], ...]
+
+
+class IdentityKeeper(Protocol):
+    """Gives the objects of one frame the identities they had in others."""
+
+    @property
+    def delay(self) -> int:
+        """Frames that must follow before it is known which tracks are objects."""
+
+    @property
+    def next_id(self) -> int:
+        """The id that the next object will get."""
+
+    def continue_ids(self, other: IdentityKeeper) -> None:
+        """Go on counting where another one stands."""
+
+    def reset(self) -> None:
+        """End all tracks; ids go on."""
+
+    def expected_masks(self, ego_motion: Matrix, shape: tuple[int, int]) -> list[Mask]:
+        """Give where each object should be in the coming frame: HxW masks.
+
+        :param ego_motion: takes the last frame's pixels to the coming one's.
+        """
+
+    def update(
+        self, candidates: Sequence[Candidate], ego_motion: Matrix, tilt: float
+    ) -> list[Observation]:
+        """Give an observation for each candidate that stands for a track.
+
+        :param ego_motion: takes the last frame's pixels to this one's.
+        :param tilt: rms turbulent motion an axis in pixels.
+        """
+
+    def settle(self) -> None:
+        """Decide what is open: no frame follows."""
+
+
+def divided_among(candidate: Candidate, tracks: Sequence[Track]) -> list[Candidate]:
+    """Divide a candidate's pixels among the tracks that are expected in it, by distance."""
+    away = np.stack([track.distance_to_expected(candidate.box) for track in tracks])
+    nearest = away.argmin(axis=0)
+    parts = []
+    for index, track in enumerate(tracks):
+        mask = candidate.mask & (nearest == index)
+        if mask.any():
+            box = Box.around(mask)
+            parts.append(
+                Candidate(
+                    box.moved(candidate.box.x0, candidate.box.y0),
+                    mask[box.slices],
+                    track.velocity,
+                    candidate.moving,
+                )
+            )
+    return parts
+
+
+def joined(parts: Sequence[Candidate]) -> Candidate:
+    """Make one candidate of several; the largest one's velocity is the whole's."""
+    if len(parts) == 1:
+        return parts[0]
+    box = Box(
+        min(part.box.x0 for part in parts),
+        min(part.box.y0 for part in parts),
+        max(part.box.x1 for part in parts),
+        max(part.box.y1 for part in parts),
+    )
+    mask = np.zeros(box.shape, bool)
+    for part in parts:
+        mask[part.box.moved(-box.x0, -box.y0).slices] |= part.mask
+    largest = max(parts, key=lambda part: part.area)
+    return Candidate(box, mask, largest.velocity, any(part.moving for part in parts))
+
+
+def _kalman_at(candidate: Candidate, tilt: float) -> cv2.KalmanFilter:
+    kalman = cv2.KalmanFilter(4, 2, 0, cv2.CV_64F)
+    kalman.transitionMatrix = np.eye(4) + np.diag([1.0, 1.0], 2)
+    kalman.measurementMatrix = np.eye(2, 4)
+    speed = float(np.hypot(*candidate.velocity))
+    # Objects change their velocity by about a tenth within a few frames.
+    acceleration = (0.05 + 0.05 * speed) ** 2
+    kalman.processNoiseCov = np.diag([0.0, 0.0, acceleration, acceleration])
+    wander = (1.0 + tilt) ** 2
+    kalman.measurementNoiseCov = np.diag([wander, wander])
+    kalman.statePost = np.array([*candidate.centroid, *candidate.velocity]).reshape(4, 1)
+    doubt = (0.2 + 0.3 * speed) ** 2
+    kalman.errorCovPost = np.diag([wander, wander, doubt, doubt])
+    return kalman
