@@ -32,10 +32,10 @@ from visualization_msgs.msg import ImageMarker, Marker, MarkerArray
 
 from turbseg_ros.bag.reader import BagReader
 from turbseg_ros.cli.replay import main as replay
+from turbseg_ros.factory import motion_segmenter
 from turbseg_ros.parameters import Parameters
 from turbseg_ros.ros.image_conversion import image_from_message, message_from_image, ns_to_stamp
 from turbseg_ros.segmentation.frame import Frame
-from turbseg_ros.segmentation.pipeline import MotionSegmenter
 
 # Small enough to keep up on a busy machine; nothing is ever dropped.
 SETTINGS = {"resolution.processing": 160, "resolution.detail": 160, "queue_size": 500}
@@ -93,7 +93,7 @@ def test_every_frame_is_answered_once_and_in_order(camera, labels, probe):
 
 
 def test_labels_are_those_that_the_segmenter_gives(camera, labels, probe):
-    segmenter = MotionSegmenter(Parameters.from_mapping(SETTINGS))
+    segmenter = motion_segmenter(Parameters.from_mapping(SETTINGS))
     expected = []
     for number, image in enumerate(moving_square(40)):
         expected += segmenter.push(Frame(number * SECOND // 30, image))
