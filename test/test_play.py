@@ -18,7 +18,7 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
-from turbseg_ros.bag.player import Timeline, offered_qos
+from turbseg_ros.bag.player import Timeline, lossless_qos, recorded_qos
 from turbseg_ros.bag.reader import Topic
 from turbseg_ros.bag.writer import BagWriter
 from turbseg_ros.cli.play import main
@@ -62,18 +62,31 @@ def test_time_stands_still_while_paused():
     assert timeline.stamp_ns() == 300
 
 
-def recorded(*profiles: QoSProfile) -> QoSProfile:
-    return offered_qos(Topic("/topic", "std_msgs/msg/String", 1, profiles))
+def topic_of(*profiles: QoSProfile) -> Topic:
+    return Topic("/topic", "std_msgs/msg/String", 1, profiles)
+
+
+HASTY = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+STEADY = QoSProfile(depth=7, reliability=ReliabilityPolicy.RELIABLE)
+LATCHED = QoSProfile(depth=3, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 def test_every_topic_is_offered_reliably_and_latched_where_it_was():
-    best_effort = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-    latched = QoSProfile(depth=3, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    for profiles in ((), (best_effort,), (latched, best_effort)):
-        assert recorded(*profiles).reliability == ReliabilityPolicy.RELIABLE
-        assert recorded(*profiles).durability == DurabilityPolicy.VOLATILE
-    assert recorded(latched).durability == DurabilityPolicy.TRANSIENT_LOCAL
-    assert recorded(latched).depth == 3
+    for profiles in ((), (HASTY,), (LATCHED, HASTY)):
+        qos = lossless_qos(topic_of(*profiles))
+        assert qos.reliability == ReliabilityPolicy.RELIABLE
+        assert qos.durability == DurabilityPolicy.VOLATILE
+    qos = lossless_qos(topic_of(LATCHED))
+    assert (qos.durability, qos.depth) == (DurabilityPolicy.TRANSIENT_LOCAL, 3)
+
+
+def test_the_recorded_qos_is_what_all_recorded_publishers_offered():
+    assert recorded_qos(topic_of(HASTY)).reliability == ReliabilityPolicy.BEST_EFFORT
+    assert recorded_qos(topic_of(STEADY, HASTY)).reliability == ReliabilityPolicy.BEST_EFFORT
+    steady = recorded_qos(topic_of(STEADY))
+    assert (steady.reliability, steady.depth) == (ReliabilityPolicy.RELIABLE, 7)
+    assert recorded_qos(topic_of(LATCHED)).durability == DurabilityPolicy.TRANSIENT_LOCAL
+    assert recorded_qos(topic_of()) == lossless_qos(topic_of())
 
 
 @pytest.fixture(scope="module")
@@ -152,6 +165,25 @@ def test_a_sensor_data_subscriber_hears_it_too(play, probe):
     play("--wait", str(TIMEOUT), "--loop")
     images = probe.listen(IMAGES, Image, BEST_EFFORT)
     probe.wait_for(lambda: images, "an image")
+
+
+@pytest.mark.parametrize(
+    ("options", "offered"),
+    [((), ReliabilityPolicy.RELIABLE), (("--recorded-qos",), ReliabilityPolicy.BEST_EFFORT)],
+    ids=str,
+)
+def test_the_recorded_qos_is_offered_when_asked_for(tmp_path, probe, options, offered):
+    with BagWriter(tmp_path / "hasty") as writer:
+        writer.add_topic("/hasty", "std_msgs/msg/String", BEST_EFFORT)
+        writer.write("/hasty", String(data="once"), SECOND)
+    command = [sys.executable, "-m", "turbseg_ros.cli", "play", str(tmp_path / "hasty")]
+    with subprocess.Popen([*command, "--start-paused", *options]) as process:
+        try:
+            probe.wait_for(lambda: probe.node.count_publishers("/hasty"), "the publisher")
+            (publisher,) = probe.node.get_publishers_info_by_topic("/hasty")
+            assert publisher.qos_profile.reliability == offered
+        finally:
+            process.terminate()
 
 
 def test_the_clock_runs_with_the_bag(play, probe):

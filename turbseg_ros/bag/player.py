@@ -99,11 +99,11 @@ class PlayedMessages:
 class Player(Node):  # type: ignore[misc]  # rclpy is read as untyped
     """Publishes the messages of a bag as they were recorded, byte by byte.
 
-    Every topic is published reliably, which suits any subscriber and loses nothing, with the
-    recorded durability. `~/pause` (std_srvs/SetBool) stops time and lets it go on.
+    `~/pause` (std_srvs/SetBool) stops time and lets it go on.
 
     :param topics: those to publish, by default all whose message type is installed.
     :param clock: publish the bag's time on /clock.
+    :param qos: gives what is offered on a topic: `lossless_qos` or `recorded_qos`.
     :raises BagError: when `topics` names one that is not in the bag, or nothing is left to play.
     """
 
@@ -114,6 +114,7 @@ class Player(Node):  # type: ignore[misc]  # rclpy is read as untyped
         *,
         topics: Collection[str] | None = None,
         clock: bool = False,
+        qos: Callable[[Topic], QoSProfile] | None = None,
     ) -> None:
         super().__init__("turbseg_play")
         self._reader = reader
@@ -121,7 +122,7 @@ class Player(Node):  # type: ignore[misc]  # rclpy is read as untyped
         self._topics = self._playable(topics, skipped={_CLOCK_TOPIC} if clock else set())
         self._publishers_of = {
             topic.name: self.create_publisher(
-                message_class(topic.type_name), topic.name, offered_qos(topic)
+                message_class(topic.type_name), topic.name, (qos or lossless_qos)(topic)
             )
             for topic in self._topics
         }
@@ -222,17 +223,33 @@ class Player(Node):  # type: ignore[misc]  # rclpy is read as untyped
         return response
 
 
-def offered_qos(topic: Topic) -> QoSProfile:
-    """Give the QoS that a recorded topic is played with."""
-    latched = bool(topic.qos) and all(
+def lossless_qos(topic: Topic) -> QoSProfile:
+    """Give a QoS that suits any subscriber and loses nothing: reliable, latched as recorded."""
+    if not _was_latched(topic):
+        return QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.RELIABLE)
+    return QoSProfile(
+        # Late subscribers get as many as the recorded publishers would have given them.
+        depth=recorded_qos(topic).depth,
+        reliability=ReliabilityPolicy.RELIABLE,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL,
+    )
+
+
+def recorded_qos(topic: Topic) -> QoSProfile:
+    """Give the QoS that was recorded; of several publishers, what all of them offered."""
+    if not topic.qos:
+        return lossless_qos(topic)
+    reliable = all(profile.reliability == ReliabilityPolicy.RELIABLE for profile in topic.qos)
+    return QoSProfile(
+        depth=max(1, *(profile.depth for profile in topic.qos)),
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=(
+            DurabilityPolicy.TRANSIENT_LOCAL if _was_latched(topic) else DurabilityPolicy.VOLATILE
+        ),
+    )
+
+
+def _was_latched(topic: Topic) -> bool:
+    return bool(topic.qos) and all(
         profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for profile in topic.qos
     )
-    if latched:
-        # Late subscribers get as many as the recorded publishers would have given them.
-        depth = max(1, *(profile.depth for profile in topic.qos))
-        return QoSProfile(
-            depth=depth,
-            reliability=ReliabilityPolicy.RELIABLE,
-            durability=DurabilityPolicy.TRANSIENT_LOCAL,
-        )
-    return QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.RELIABLE)

@@ -12,7 +12,7 @@ import rclpy
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
-from turbseg_ros.bag.player import Player, Timeline
+from turbseg_ros.bag.player import Player, Timeline, lossless_qos, recorded_qos
 from turbseg_ros.bag.reader import BagReader
 from turbseg_ros.cli.arguments import positive_count, positive_number
 from turbseg_ros.cli.errors import Interrupted, UsageError, executable
@@ -39,7 +39,13 @@ def _run(command: Sequence[str]) -> None:
         raise UsageError(str(error)) from error
     try:
         timeline = Timeline(options.rate, paused=options.start_paused)
-        player = Player(reader, timeline, topics=options.topics, clock=options.clock)
+        player = Player(
+            reader,
+            timeline,
+            topics=options.topics,
+            clock=options.clock,
+            qos=recorded_qos if options.recorded_qos else lossless_qos,
+        )
         try:
             _play(player, options)
         finally:
@@ -84,6 +90,11 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--start-paused", action="store_true", help="wait for the service to resume"
+    )
+    parser.add_argument(
+        "--recorded-qos",
+        action="store_true",
+        help="offer what was recorded, best effort too (default: reliable, which loses nothing)",
     )
     parser.add_argument(
         "--wait",
