@@ -10,12 +10,13 @@ from hypothesis import strategies as st
 from turbseg_ros.segmentation.geometry import affine_flow, pixel_grid, sampson_distance
 from turbseg_ros.segmentation.motion import (
     Average,
-    affine_motion,
+    MotionEstimate,
+    affine_motions,
     mean_velocity,
     measured_tilt,
     sampson_motion,
     slope_velocity,
-    unchecked_motion,
+    unchecked_motions,
 )
 
 SHAPE = (96, 160)
@@ -23,6 +24,15 @@ CENTRED = (-4, -2, 2, 4)
 OBJECT = (slice(30, 60), slice(40, 90))
 PAN = np.array([[3.0, -2.0], [0.01, 0.002], [-0.003, 0.008]])
 PAPER_SETS = [(2, -2), (3, -3), (4, -4), (1, -1, 2, -2), (2, -2, 3, -3)]
+
+
+def affine_motion(
+    flows: dict[int, np.ndarray],
+    weights: dict[int, np.ndarray],
+    average: Average = slope_velocity,
+) -> MotionEstimate:
+    (motion,) = affine_motions(flows, weights, [list(flows)], average)
+    return motion
 
 
 def tilts(rms: float, correlation: float, lags: range, seed: int = 0) -> dict[int, np.ndarray]:
@@ -139,6 +149,14 @@ def test_an_average_states_its_own_error(average: Average) -> None:
         assert velocity[part].std() == pytest.approx(float(error[part].mean()), rel=0.05)
 
 
+def test_each_span_of_intervals_gives_the_motion_that_its_flows_alone_give() -> None:
+    flows, weights, near = scene_flows(CENTRED), everywhere(CENTRED), (-2, 2)
+    short, long = affine_motions(flows, weights, [near, CENTRED])
+    alone = affine_motion({i: flows[i] for i in near}, {i: weights[i] for i in near})
+    np.testing.assert_array_equal(short.velocity, alone.velocity)
+    np.testing.assert_array_equal(long.velocity, affine_motion(flows, weights).velocity)
+
+
 def test_the_mean_is_that_of_the_flows_a_frame() -> None:
     intervals = (-2, -1, 1, 2)
     motion = affine_motion(scene_flows(intervals), everywhere(intervals), mean_velocity)
@@ -150,7 +168,7 @@ def test_the_mean_is_that_of_the_flows_a_frame() -> None:
 
 
 def test_unchecked_motion_keeps_the_motion_of_the_camera() -> None:
-    motion = unchecked_motion(scene_flows(CENTRED), everywhere(CENTRED))
+    (motion,) = unchecked_motions(scene_flows(CENTRED), everywhere(CENTRED), [CENTRED])
     still = np.ones(SHAPE, bool)
     still[OBJECT] = False
     error = np.abs(motion.velocity - affine_flow(PAN, SHAPE))[still]

@@ -38,8 +38,8 @@ _PIPELINE = "turbseg_ros.segmentation.pipeline"
 STAGES: Mapping[str, str] = {
     "scaling": f"{_PIPELINE}.prepare",
     "registration": "turbseg_ros.segmentation.window.register_affine",
-    "optical flow": "turbseg_ros.segmentation.flow.dis_flow",
-    "motion map": f"{_PIPELINE}.affine_motion",
+    "optical flow": f"{_PIPELINE}.dis_flow",
+    "motion map": f"{_PIPELINE}.affine_motions",
     "seeds": "turbseg_ros.segmentation.region_growing.seed_strength",
     "region growing": "turbseg_ros.segmentation.region_growing.grow_regions",
     "refinement": "turbseg_ros.learning.pretrained.PretrainedRefiner.refine",

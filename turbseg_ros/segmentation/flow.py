@@ -7,7 +7,6 @@ A flow is float32, HxWx2, in pixels: where (x, y) of one frame has moved to in t
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor
 from typing import Protocol
 
 import cv2
@@ -30,7 +29,7 @@ _LEAST_SPREAD = 0.25
 
 
 class FlowBackend(Protocol):
-    """Computes the flows of a frame in another way than by `flows_to`."""
+    """Computes the flows of a frame in another way than by `dis_flow`."""
 
     @property
     def device(self) -> str:
@@ -52,20 +51,6 @@ def dis_flow(source: GreyImage, target: GreyImage, variational_iterations: int) 
     dis.setVariationalRefinementIterations(variational_iterations)
     flow: Flow = dis.calc(source, target, None)
     return flow
-
-
-def flows_to(
-    source: GreyImage,
-    targets: Mapping[int, GreyImage],
-    variational_iterations: int,
-    executor: Executor,
-) -> dict[int, Flow]:
-    """Give the flow F(t→t+k) for every neighbour, {k: image of frame t+k aligned to frame t}."""
-    pending = {
-        k: executor.submit(dis_flow, source, target, variational_iterations)
-        for k, target in targets.items()
-    }
-    return {k: future.result() for k, future in pending.items()}
 
 
 def mean_flow(flows: Mapping[int, Flow], intervals: Sequence[int]) -> Flow:

@@ -63,27 +63,45 @@ def mean_velocity(flows: Mapping[int, Flow], weights: Mapping[int, Map]) -> tupl
     return optical_flow.combined(flows, weights, optical_flow.mean_shares)
 
 
-def affine_motion(
-    flows: Mapping[int, Flow], weights: Mapping[int, Map], average: Average = slope_velocity
-) -> MotionEstimate:
+def affine_motions(
+    flows: Mapping[int, Flow],
+    weights: Mapping[int, Map],
+    spans: Sequence[Sequence[int]],
+    average: Average = slope_velocity,
+) -> list[MotionEstimate]:
     """Measure motion as the average of the flows less an affine ego-motion.
 
     :param flows: {i: F(t→t+i)} in pixels, HxWx2, neighbours already roughly aligned.
     :param weights: {i: HxW}, 1 where the pixel is seen in frame t+i, else 0.
+    :param spans: sets of intervals, each of which gives an estimate.
     """
     residuals = _residuals(flows, weights)
-    return _estimate(*average(residuals, weights), residuals, "affine")
+    return [
+        _estimate(*average(_of(residuals, span), _of(weights, span)), residuals, "affine")
+        for span in spans
+    ]
 
 
-def unchecked_motion(
-    flows: Mapping[int, Flow], weights: Mapping[int, Map], average: Average = slope_velocity
-) -> MotionEstimate:
+def unchecked_motions(
+    flows: Mapping[int, Flow],
+    weights: Mapping[int, Map],
+    spans: Sequence[Sequence[int]],
+    average: Average = slope_velocity,
+) -> list[MotionEstimate]:
     """Measure motion as the average of the flows alone, as the paper's ablation of eq. 2 does.
 
-    Only what the alignment of the neighbours took out is missing from it. For `flows` and
-    `weights` see `affine_motion`; the tilt is measured as there.
+    Only what the alignment of the neighbours took out is missing from it. For the parameters see
+    `affine_motions`; the tilt is measured as there.
     """
-    return _estimate(*average(flows, weights), _residuals(flows, weights), "none")
+    residuals = _residuals(flows, weights)
+    return [
+        _estimate(*average(_of(flows, span), _of(weights, span)), residuals, "none")
+        for span in spans
+    ]
+
+
+def _of(maps: Mapping[int, Map], intervals: Sequence[int]) -> dict[int, Map]:
+    return {i: maps[i] for i in intervals}
 
 
 def _estimate(
@@ -111,7 +129,7 @@ def agree(motion: MotionEstimate, other: MotionEstimate) -> Mask:
     Where an object has passed within the longer time, flow finds nothing and means nothing.
     """
     change = motion.velocity - other.velocity
-    same: Mask = np.hypot(change[..., 0], change[..., 1]) < _AGREEMENT * motion.noise
+    same: Mask = cv2.magnitude(*cv2.split(change)) < _AGREEMENT * motion.noise
     return same
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
 import cv2
@@ -14,17 +14,17 @@ import numpy.typing as npt
 from turbseg_ros.parameters import Parameters
 from turbseg_ros.segmentation import region_growing
 from turbseg_ros.segmentation.background import View, without_objects
-from turbseg_ros.segmentation.flow import FlowBackend, flows_to
+from turbseg_ros.segmentation.flow import Flow, FlowBackend, dis_flow
 from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResult, label_of
 from turbseg_ros.segmentation.motion import (
     MotionEstimate,
-    affine_motion,
+    affine_motions,
     agree,
     mean_velocity,
     merged,
     sampson_motion,
     slope_velocity,
-    unchecked_motion,
+    unchecked_motions,
 )
 from turbseg_ros.segmentation.refinement import Refiner, refined_silhouettes
 from turbseg_ros.segmentation.region_growing import Region
@@ -48,6 +48,7 @@ from turbseg_ros.segmentation.window import FrameWindow, Resolution, prepare
 
 Mask = npt.NDArray[np.bool_]
 Matrix = npt.NDArray[np.float64]
+ByteImage = npt.NDArray[np.uint8]
 
 _FLOW_THREADS = 2
 # Flow is also taken so many times B back, for what is slow.
@@ -106,6 +107,8 @@ class MotionSegmenter:
         self._refiner = refiner
         self._flow = flow
         self._executor = ThreadPoolExecutor(_FLOW_THREADS, thread_name_prefix="flow")
+        # Flows that are being computed, by frame and interval.
+        self._ordered: dict[tuple[int, int], Future[Flow]] = {}
         self._tone = ToneMap()
         self.reconfigure(parameters)
 
@@ -134,6 +137,9 @@ class MotionSegmenter:
         self._kind: tuple[object, ...] = ()
         self._frames: dict[int, Frame] = {}
         self._pending: deque[_Pending] = deque()
+        for flow in self._ordered.values():
+            flow.cancel()
+        self._ordered = {}
 
     @property
     def device(self) -> str:
@@ -230,33 +236,53 @@ class MotionSegmenter:
         intervals = self._window.neighbours(centre, self._intervals())
         if len(intervals) < 2:
             return []
-        grey = self._window[centre].grey
-        shape = (grey.shape[0], grey.shape[1])
-        transforms = {k: self._window.transform(centre, centre + k) for k in intervals}
-        aligned = {
-            k: align(self._window[centre + k].grey, transform)
-            for k, transform in transforms.items()
-        }
+        height, width = self._window[centre].grey.shape
         weights = {
-            k: visible(shape, transform, _BORDER).astype(np.float32)
-            for k, transform in transforms.items()
+            k: visible(
+                (height, width), self._window.transform(centre, centre + k), _BORDER
+            ).astype(np.float32)
+            for k in intervals
         }
+        flows = self._flows(centre, intervals)
         p = self._parameters
-        if self._flow is None:
-            flows = flows_to(grey, aligned, p.flow.variational_iterations, self._executor)
-        else:
-            flows = self._flow.flows_to(grey, aligned)
         if p.motion.measure == "sampson":
             return [sampson_motion(flows, weights, _interval_sets(p.flow.interval))]
-        measure = affine_motion if p.motion.measure == "affine" else unchecked_motion
+        measure = affine_motions if p.motion.measure == "affine" else unchecked_motions
         if p.flow.average == "mean":
-            return [measure(flows, weights, mean_velocity)]
-        motion = measure(flows, weights, slope_velocity)
-        near = [k for k in flows if abs(k) <= 2 * p.flow.interval]
-        if len(near) in (len(flows), 0, 1):
-            return [motion]
-        short = measure({k: flows[k] for k in near}, {k: weights[k] for k in near}, slope_velocity)
-        return [short, motion]
+            return measure(flows, weights, [intervals], mean_velocity)
+        near = [k for k in intervals if abs(k) <= 2 * p.flow.interval]
+        one = len(near) in (len(intervals), 0, 1)
+        return measure(flows, weights, [intervals] if one else [near, intervals], slope_velocity)
+
+    def _flows(self, centre: int, intervals: Sequence[int]) -> dict[int, Flow]:
+        """Give the flows of a frame to its neighbours, which are aligned to it."""
+        if self._flow is not None:
+            aligned = {k: self._aligned(centre, k) for k in intervals}
+            return self._flow.flows_to(self._window[centre].grey, aligned)
+        self._order_flows(centre, intervals)
+        # Those of the next frame for which all is there are computed while outlines are drawn.
+        following = centre + 1
+        if self._window.is_use(following):
+            near = [k for k in self._intervals() if self._window.is_use(following + k)]
+            self._order_flows(following, near)
+        flows = {k: self._ordered[centre, k].result() for k in intervals}
+        self._ordered = {pair: flow for pair, flow in self._ordered.items() if pair[0] > centre}
+        return flows
+
+    def _order_flows(self, centre: int, intervals: Sequence[int]) -> None:
+        for k in intervals:
+            if (centre, k) not in self._ordered:
+                self._ordered[centre, k] = self._executor.submit(
+                    dis_flow,
+                    self._window[centre].grey,
+                    self._aligned(centre, k),
+                    self._parameters.flow.variational_iterations,
+                )
+
+    def _aligned(self, centre: int, interval: int) -> ByteImage:
+        """Give the grey image of a frame's neighbour as the frame itself would show it."""
+        neighbour = centre + interval
+        return align(self._window[neighbour].grey, self._window.transform(centre, neighbour))
 
     def _what_moves(self, motions: Sequence[MotionEstimate]) -> _Moving:
         """Grow regions over a short time, and over a long one where what is slower moves."""

@@ -186,7 +186,8 @@ class FrameWindow:
         after = self._frames.get(index + 1)
         return self._frames[index].continues or (after is not None and after.continues)
 
-    def _is_use(self, index: int) -> bool:
+    def is_use(self, index: int) -> bool:
+        """Tell whether a frame is at hand and shows the scene."""
         return index in self._frames and self.shows_scene(index)
 
     def neighbours(self, centre: int, wanted: Sequence[int]) -> list[int]:
@@ -196,16 +197,16 @@ class FrameWindow:
         on one side, others near are added, for then the frame's own tilt has to be told as well.
         """
         there = {
-            k if self._is_use(centre + k) else -k
+            k if self.is_use(centre + k) else -k
             for k in wanted
-            if self._is_use(centre + k) or self._is_use(centre - k)
+            if self.is_use(centre + k) or self.is_use(centre - k)
         }
         if there and (min(there) > 0 or max(there) < 0):
             nearest = min(there, key=abs)
             there |= {
                 k
                 for k in (round(nearest * share) for share in (0.25, 0.5, -0.5))
-                if k and self._is_use(centre + k)
+                if k and self.is_use(centre + k)
             }
         return sorted(there)
 
