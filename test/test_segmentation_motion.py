@@ -12,8 +12,11 @@ from turbseg_ros.segmentation.motion import (
     Average,
     MotionEstimate,
     affine_motions,
+    agree,
     mean_velocity,
     measured_tilt,
+    merged,
+    next_interval,
     sampson_motion,
     slope_velocity,
     unchecked_motions,
@@ -262,3 +265,27 @@ def test_any_flows_give_finite_motion(
         assert np.isfinite(motion.velocity).all()
         assert np.isfinite(motion.noise).all()
         assert (motion.noise > 0).all()
+
+
+def test_the_interval_is_halved_while_the_camera_moves_past_things_near_and_far() -> None:
+    intervals = [4]
+    for tilt in (0.3, 1.5, 2.5, 1.5, float("nan"), 0.9, 0.2, 1.9):
+        intervals.append(next_interval(intervals[-1], widest=4, tilt=tilt))
+    assert intervals == [4, 4, 4, 2, 2, 2, 2, 4, 4]
+    assert next_interval(1, widest=1, tilt=3.0) == 1
+
+
+def test_estimates_are_merged_where_they_are_said_to_be() -> None:
+    x = np.arange(64, dtype=np.float32)
+    flow = np.zeros((48, 64, 2), np.float32)
+    flow[..., 0] = 0.3 * np.sin(x / 5)
+    weights = {k: np.ones((48, 64), np.float32) for k in (-4, 4)}
+    still = affine_motion(dict.fromkeys((-4, 4), 0 * flow), weights)
+    moving = affine_motion({k: k * flow for k in (-4, 4)}, weights)
+    assert agree(still, still).all()
+    assert not agree(still, moving).all()
+    where = np.zeros((48, 64), bool)
+    where[10:20, 10:20] = True
+    both = merged(still, moving, where)
+    np.testing.assert_array_equal(both.velocity[where], moving.velocity[where])
+    np.testing.assert_array_equal(both.motion_map[~where], still.motion_map[~where])

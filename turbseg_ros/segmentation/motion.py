@@ -31,6 +31,10 @@ _RAYLEIGH_MEDIAN = 1.1774
 _AGREEMENT = 3.0
 # Flow can't be trusted to be steadier than this from frame to frame, in pixels a frame.
 _LEAST_NOISE = 0.015
+# No turbulence tilts a picture by so many pixels: the camera moves past things near and far, too
+# fast for the flow. Below the second it stands still again.
+_BEYOND_TURBULENCE = 2.0
+_WITHIN_TURBULENCE = 0.4
 # Medians over a map are taken from about so many pixels.
 _SAMPLES = 10000
 
@@ -197,6 +201,17 @@ def measured_tilt(residuals: Mapping[int, Flow], visible: npt.NDArray[np.bool_])
     deviation = _robust_deviation(np.hypot(even[:, 0], even[:, 1]))
     gain = 1.0 + (1.0 + _tilt_correlation(2 * k)) / 2.0 - 2.0 * _tilt_correlation(k)
     return float(deviation / np.sqrt(gain))
+
+
+def next_interval(interval: int, widest: int, tilt: float) -> int:
+    """Choose the interval of the next frame: half the widest where what is left is no turbulence.
+
+    :param interval: the one that `tilt` was measured over.
+    :param tilt: what was measured as tilt, in pixels; NaN changes nothing.
+    """
+    if tilt > _BEYOND_TURBULENCE:
+        return max(widest // 2, 1)
+    return widest if tilt < _WITHIN_TURBULENCE else interval
 
 
 def _tilt_correlation(lag: int) -> float:

@@ -22,6 +22,7 @@ from turbseg_ros.segmentation.motion import (
     agree,
     mean_velocity,
     merged,
+    next_interval,
     sampson_motion,
     slope_velocity,
     unchecked_motions,
@@ -140,6 +141,7 @@ class MotionSegmenter:
         for flow in self._ordered.values():
             flow.cancel()
         self._ordered = {}
+        self._interval = p.flow.interval
 
     @property
     def device(self) -> str:
@@ -197,6 +199,9 @@ class MotionSegmenter:
         if not motions:
             self._identities.update([], ego_motion, 0.0)
             return _Pending(frame, self._resolution, None, [])
+        self._interval = next_interval(
+            self._interval, self._parameters.flow.interval, motions[0].tilt
+        )
         moving = self._what_moves(motions)
         scale = self._resolution.detail_from_processing[0]
         tilt = 0.0 if np.isnan(moving.motion.tilt) else moving.motion.tilt * scale
@@ -223,7 +228,7 @@ class MotionSegmenter:
         if p.flow.average == "mean" or p.motion.measure == "sampson":
             reach = list(range(1, widest + 1))
         else:
-            return [-_LONG * widest, -widest, widest]
+            return [-_LONG * self._interval, -self._interval, self._interval]
         if p.latency.mode == "causal":
             return [-k for k in reach] + [-k - widest for k in reach]
         return [-k for k in reach] + reach
@@ -250,7 +255,7 @@ class MotionSegmenter:
         measure = affine_motions if p.motion.measure == "affine" else unchecked_motions
         if p.flow.average == "mean":
             return measure(flows, weights, [intervals], mean_velocity)
-        near = [k for k in intervals if abs(k) <= 2 * p.flow.interval]
+        near = [k for k in intervals if abs(k) <= 2 * self._interval]
         one = len(near) in (len(intervals), 0, 1)
         return measure(flows, weights, [intervals] if one else [near, intervals], slope_velocity)
 
