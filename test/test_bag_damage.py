@@ -418,6 +418,9 @@ def test_a_type_name_imports_nothing_but_messages(
         "- {history: 1, depth: 1, reliability: 1, durability: 1, liveliness: 1,"
         # A word a thousand million times.
         " deadline: {sec: word, nsec: 0}, lifespan: {sec: 0, nsec: 0}}",
+        "- {history: 1, depth: 99999999999999, reliability: 1, durability: 1, liveliness: 1,"
+        " deadline: {sec: 1, nsec: 0}, lifespan: {sec: 1, nsec: 0},"
+        " liveliness_lease_duration: {sec: 1, nsec: 0}}",
         "just words",
         "{",
     ],

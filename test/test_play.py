@@ -247,3 +247,18 @@ def test_what_cannot_be_played_is_one_line(bag, capsys, arguments, complaint):
 def test_no_such_bag_is_one_line(tmp_path, capsys):
     assert main([str(tmp_path / "missing")]) == 2
     assert capsys.readouterr().err == f"turbseg_play: no such bag: {tmp_path / 'missing'}\n"
+
+
+@pytest.mark.parametrize("name", ["/..", "a b", "/x" * 2000, "/\x1b[2J"], ids=repr)
+def test_a_name_that_is_no_topic_is_left_out_and_told(tmp_path, capfd, name):
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.write(name, String(data="odd"), 1)
+        writer.write("/chatter", String(data="sound"), 1)
+    assert main([str(tmp_path / "bag")]) == 0
+    told = capfd.readouterr().err
+    assert "is not played: the bag names no ROS topic" in told
+    assert "played 1 messages" in told
+    assert main([str(tmp_path / "bag"), "--topics", name]) == 2
+    refusal = capfd.readouterr().err.strip()
+    assert refusal.isprintable()
+    assert refusal.startswith("turbseg_play: the bag names no ROS topic")

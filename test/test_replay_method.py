@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import cv2
 import pytest
 from drawn_bag import write_drawn_bag
 
@@ -12,6 +13,7 @@ from turbseg_ros.bag.reader import BagReader
 from turbseg_ros.bag.topics import LABELS_TOPIC
 from turbseg_ros.cli import evaluate, replay
 from turbseg_ros.evaluation.labels import read_labels
+from turbseg_ros.segmentation import pipeline
 
 STAMPS = [number * 33_000_000 for number in range(20)]
 
@@ -32,6 +34,21 @@ def test_two_replays_give_the_same_labels(bag: Path, tmp_path: Path) -> None:
     assert [stamp for stamp, _ in first] == STAMPS
     assert any(any(labels) for _, labels in first)
     assert first == second
+
+
+def test_on_one_thread_and_on_two_the_labels_are_the_same(
+    bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    threads = cv2.getNumThreads()
+    labels = {}
+    try:
+        for flow, opencv in ((1, 1), (2, 2)):
+            monkeypatch.setattr(pipeline, "_FLOW_THREADS", flow)
+            cv2.setNumThreads(opencv)
+            labels[flow, opencv] = replayed(bag, tmp_path / f"out_{flow}_{opencv}")
+    finally:
+        cv2.setNumThreads(threads)
+    assert all(found == labels[1, 1] for found in labels.values())
 
 
 def test_replayed_labels_score_as_the_evaluation_says(bag: Path, tmp_path: Path) -> None:

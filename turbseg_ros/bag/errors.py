@@ -17,9 +17,14 @@ class BagError(Exception):
     """
 
     def __init__(self, text: str) -> None:
-        line = " ".join(text.split())
-        shown = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line[:_LONGEST])
-        super().__init__(shown + "..." * (len(line) > _LONGEST))
+        super().__init__(printable(text, _LONGEST))
+
+
+def printable(text: str, longest: int) -> str:
+    """Give a text as one line of so many characters at most, control characters written out."""
+    line = " ".join(text.split())
+    shown = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line[:longest])
+    return shown + "..." * (len(line) > longest)
 
 
 class ClipError(BagError):

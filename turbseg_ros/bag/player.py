@@ -9,13 +9,15 @@ from dataclasses import dataclass
 from rclpy.clock import Clock as SteadyClock
 from rclpy.clock import ClockType
 from rclpy.duration import Duration
+from rclpy.exceptions import InvalidTopicNameException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.validate_full_topic_name import validate_full_topic_name
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 
-from turbseg_ros.bag.errors import BagError
+from turbseg_ros.bag.errors import BagError, printable
 from turbseg_ros.bag.reader import BagReader, Record, Topic
 from turbseg_ros.bag.schema import message_class
 
@@ -185,16 +187,19 @@ class Player(Node):  # type: ignore[misc]  # rclpy is read as untyped
                 f"{self._reader.path} has no {', '.join(unknown)}; its topics: {', '.join(known)}"
             )
         names = [name for name in asked or known if name not in skipped]
-        topics = [known[name] for name in names if asked or self._is_installed(known[name])]
+        topics = [known[name] for name in names if self._can_play(known[name], bool(asked))]
         if not topics:
             raise BagError(f"{self._reader.path} has nothing to play")
         return topics
 
-    def _is_installed(self, topic: Topic) -> bool:
+    def _can_play(self, topic: Topic, asked: bool) -> bool:
         try:
             message_class(topic.type_name)
+            _check_name(topic.name)
         except BagError as error:
-            self.get_logger().warning(f"{topic.name} is not played: {error}")
+            if asked:
+                raise
+            self.get_logger().warning(f"{printable(topic.name, 100)} is not played: {error}")
             return False
         return True
 
@@ -221,6 +226,13 @@ class Player(Node):  # type: ignore[misc]  # rclpy is read as untyped
         self._timeline.pause(request.data)
         response.success = True
         return response
+
+
+def _check_name(name: str) -> None:
+    try:
+        validate_full_topic_name(name)
+    except InvalidTopicNameException as error:
+        raise BagError(f"the bag names no ROS topic: {error}") from error
 
 
 def lossless_qos(topic: Topic) -> QoSProfile:

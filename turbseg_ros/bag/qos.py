@@ -23,6 +23,8 @@ _POLICIES = {
     "liveliness": LivelinessPolicy,
 }
 _DURATIONS = ("deadline", "lifespan", "liveliness_lease_duration")
+# What the middleware can hold.
+_DEEPEST = 2**31 - 1
 _NANOSECONDS = 1_000_000_000
 
 
@@ -65,7 +67,10 @@ def from_yaml(text: str) -> tuple[QoSProfile, ...]:
 def _from_metadata(entry: Mapping[str, Any]) -> QoSProfile:
     policies = {name: _policy(kind, entry[name]) for name, kind in _POLICIES.items()}
     durations = {name: _duration(entry[name]) for name in _DURATIONS}
-    return QoSProfile(depth=int(entry["depth"]), **policies, **durations)
+    depth = int(entry["depth"])
+    if depth > _DEEPEST:
+        raise ValueError(f"depth {depth}")
+    return QoSProfile(depth=depth, **policies, **durations)
 
 
 def _policy(kind: Any, value: str | int) -> Any:

@@ -16,7 +16,7 @@ from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 
 from turbseg_ros.bag import qos as qos_format
-from turbseg_ros.bag.errors import BagError, reading
+from turbseg_ros.bag.errors import BagError, printable, reading
 from turbseg_ros.bag.mcap_file import MOST_MESSAGES, McapFile, open_mcap
 from turbseg_ros.bag.schema import message_class
 from turbseg_ros.bag.topics import TRUTH_NAMESPACE
@@ -296,7 +296,7 @@ def _recorded_qos(file: McapFile, channel: Channel) -> tuple[QoSProfile, ...]:
     try:
         return qos_format.from_yaml(channel.metadata.get("offered_qos_profiles", ""))
     except ValueError as error:
-        _LOGGER.warning("%s: %s has %s", file.path, channel.topic, error)
+        _LOGGER.warning("%s: %s has %s", file.path, printable(channel.topic, 100), error)
         return ()
 
 
