@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import signal
 import subprocess
 import sys
@@ -68,6 +69,12 @@ class NodeProcess:
         status = Path(f"/proc/{self.process.pid}/status").read_text()
         (blocked,) = [line for line in status.splitlines() if line.startswith("SigBlk:")]
         return bool(int(blocked.split()[1], 16) >> (number - 1) & 1)
+
+    @property
+    def processor_seconds(self) -> float:
+        """Time that its threads have spent on a processor."""
+        fields = Path(f"/proc/{self.process.pid}/stat").read_text().rpartition(")")[2].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
     @property
     def resident_megabytes(self) -> float:

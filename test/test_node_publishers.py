@@ -70,3 +70,15 @@ def test_each_topic_keeps_as_many_messages_as_its_output_says(probe):
     depths = {item.topic_name: item.qos_profile.depth for item in probe.node.publishers}
     assert {f"/probe/{output.name}": output.depth for output in topics}.items() <= depths.items()
     assert depths["/probe/centroids"] > depths["/probe/labels"] > depths["/probe/mask"]
+
+
+def test_waits_for_listeners_but_not_for_ever(probe):
+    publisher = ResultPublisher(probe.node, [Output("labels", String, lambda _: String(data="x"))])
+    publisher.publish(result(1))
+    assert publisher.wait_until_received(5.0)
+    messages = probe.listen("/probe/labels", String)
+    (labels,) = [item for item in probe.node.publishers if item.topic_name == "/probe/labels"]
+    probe.wait_for(labels.get_subscription_count, "the listener")
+    publisher.publish(result(2))
+    assert publisher.wait_until_received(5.0)
+    probe.wait_for(lambda: messages, "the message")

@@ -237,31 +237,23 @@ def _check_name(name: str) -> None:
 
 def lossless_qos(topic: Topic) -> QoSProfile:
     """Give a QoS that suits any subscriber and loses nothing: reliable, latched as recorded."""
-    if not _was_latched(topic):
-        return QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.RELIABLE)
+    recorded = recorded_qos(topic)
+    latched = recorded.durability == DurabilityPolicy.TRANSIENT_LOCAL
     return QoSProfile(
         # Late subscribers get as many as the recorded publishers would have given them.
-        depth=recorded_qos(topic).depth,
+        depth=recorded.depth if latched else _DEPTH,
         reliability=ReliabilityPolicy.RELIABLE,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL,
+        durability=recorded.durability,
     )
 
 
 def recorded_qos(topic: Topic) -> QoSProfile:
     """Give the QoS that was recorded; of several publishers, what all of them offered."""
-    if not topic.qos:
-        return lossless_qos(topic)
-    reliable = all(profile.reliability == ReliabilityPolicy.RELIABLE for profile in topic.qos)
+    offered = topic.qos or (QoSProfile(depth=_DEPTH),)
+    reliable = all(profile.reliability == ReliabilityPolicy.RELIABLE for profile in offered)
+    latched = all(profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for profile in offered)
     return QoSProfile(
-        depth=max(1, *(profile.depth for profile in topic.qos)),
+        depth=max(1, *(profile.depth for profile in offered)),
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-        durability=(
-            DurabilityPolicy.TRANSIENT_LOCAL if _was_latched(topic) else DurabilityPolicy.VOLATILE
-        ),
-    )
-
-
-def _was_latched(topic: Topic) -> bool:
-    return bool(topic.qos) and all(
-        profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for profile in topic.qos
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
     )

@@ -29,6 +29,8 @@ _MATCH_PERIOD = 0.2
 # Messages that may wait in the middleware. There nobody counts what a full queue drops, so a short
 # stall of this process must not fill it.
 _LEAST_DEPTH = 10
+# Seconds that listeners get for the last results when the node ends.
+_FAREWELL = 1.0
 # A clock that is set back by less is being adjusted; by more, a bag begins again.
 _CLOCK_JUMP = JumpThreshold(
     min_forward=None, min_backward=Duration(seconds=-0.1), on_clock_change=False
@@ -86,6 +88,8 @@ class TurbsegNode(Node):  # type: ignore[misc]  # rclpy is read as untyped
     def destroy_node(self) -> None:
         """Answer the frames at hand, then take the node out of the graph."""
         self._worker.stop()
+        # What a busy listener has not got by now would go with the publishers.
+        self._results.wait_until_received(_FAREWELL)
         super().destroy_node()
 
     def _subscribe(self) -> MatchingSubscription:

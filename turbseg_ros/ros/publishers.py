@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterable
 
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
@@ -28,6 +30,17 @@ class ResultPublisher:
         for output, publisher in self._publishers:
             if output.stateful or publisher.get_subscription_count():
                 publisher.publish(output.build(result))
+
+    def wait_until_received(self, timeout: float) -> bool:
+        """Wait until all listeners have acknowledged everything; False when time runs out.
+
+        :param timeout: seconds.
+        """
+        deadline = time.monotonic() + timeout
+        return all(
+            publisher.wait_for_all_acked(Duration(seconds=max(deadline - time.monotonic(), 0.0)))
+            for _, publisher in self._publishers
+        )
 
 
 def _qos(output: Output) -> QoSProfile:
