@@ -13,7 +13,7 @@ from turbseg_ros.bag.topics import RESULT_NAMESPACE
 from turbseg_ros.bag.writer import BagWriter
 from turbseg_ros.cli.errors import executable
 from turbseg_ros.cli.options import add_parameter_options, parameters_from, with_progress
-from turbseg_ros.evaluation.replay import BagFrames, segment
+from turbseg_ros.evaluation.replay import BagFrames, ahead, segment
 from turbseg_ros.factory import clip_segmenter
 from turbseg_ros.overlay import OverlayStrip, write_picture
 from turbseg_ros.ros.messages import CentroidMarkers, Output, outputs, slot_output
@@ -61,7 +61,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     count = 0
     with BagWriter(options.out) as bag:
         results = ResultWriter(bag)
-        for result in segment(with_progress(frames, reader.path.name), segmenter):
+        # The next frames are read and segmented while a result is written.
+        images = ahead(with_progress(frames, reader.path.name))
+        for result in ahead(segment(images, segmenter)):
             results.write(result)
             strip.add(result)
             count += 1

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import logging
+from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Protocol
+from concurrent.futures import ThreadPoolExecutor
+from typing import Protocol, TypeVar, cast
 
 from turbseg_ros.bag.errors import BagError
 from turbseg_ros.bag.reader import BagReader, Record
 from turbseg_ros.ros.image_conversion import ImageConversionError, frame_from_message
 from turbseg_ros.segmentation.frame import Frame, SegmentationResult
 
+T = TypeVar("T")
+
 _LOGGER = logging.getLogger(__name__)
+_END = object()
 
 
 class Segmenter(Protocol):
@@ -64,3 +69,20 @@ def segment(frames: Iterable[Frame], segmenter: Segmenter) -> Iterator[Segmentat
     for frame in frames:
         yield from segmenter.push(frame)
     yield from segmenter.flush()
+
+
+def ahead(items: Iterable[T], depth: int = 2) -> Iterator[T]:
+    """Give items as they are, made in a thread of its own, up to `depth` ahead of their use.
+
+    What fails there is raised here, where the item would have come.
+    """
+    iterator = iter(items)
+    with ThreadPoolExecutor(1) as worker:
+        pending = deque(worker.submit(next, iterator, _END) for _ in range(depth))
+        try:
+            while (item := pending.popleft().result()) is not _END:
+                pending.append(worker.submit(next, iterator, _END))
+                yield cast(T, item)
+        finally:
+            for future in pending:
+                future.cancel()
