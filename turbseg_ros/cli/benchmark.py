@@ -47,8 +47,8 @@ _RATE_HZ = 30.0
 _SEED = 7
 # Frames that are rendered, and then shown forward and backward.
 _CLIP = 30
-# Enough for the background's memory to be full.
-_WARM_UP = 50
+# Enough for the first frames to be caught up with and for the background's memory to be full.
+_WARM_UP = 75
 _KINDS = ("sedan", "person", "van", "pickup")
 _MOST_OBJECTS = 16
 

@@ -139,6 +139,8 @@ def agree(motion: MotionEstimate, other: MotionEstimate) -> Mask:
 
 def merged(motion: MotionEstimate, other: MotionEstimate, where: Mask) -> MotionEstimate:
     """Give `motion` with the velocity, map and noise of `other` in some pixels, HxW."""
+    if not where.any():
+        return motion
     return replace(
         motion,
         velocity=np.where(where[..., None], other.velocity, motion.velocity),

@@ -37,6 +37,7 @@ from turbseg_ros.segmentation.silhouette import (
     moving_areas,
     object_windows,
     resampled,
+    scaling,
     silhouettes,
     union,
 )
@@ -487,9 +488,7 @@ def _at_input_resolution(candidate: Candidate, resolution: Resolution) -> Outlin
     if resolution.detail == resolution.input:
         return outline
     x, y = (there / here for there, here in zip(resolution.input, resolution.detail, strict=True))
-    # Pixel centres lie at whole numbers, so the scaled grid is shifted by half a pixel.
-    enlargement = np.array([[x, 0, (x - 1) / 2], [0, y, (y - 1) / 2], [0, 0, 1]])
-    return resampled(outline, enlargement, resolution.input[::-1], cv2.INTER_LINEAR)
+    return resampled(outline, scaling(x, y), resolution.input[::-1], cv2.INTER_LINEAR)
 
 
 def _moving_object(observation: Observation, outline: Outline, scale: float) -> MovingObject:

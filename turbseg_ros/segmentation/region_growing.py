@@ -50,7 +50,7 @@ def seed_strength(motion: MotionEstimate, size: int, delta1: float, delta2: floa
     """
     mean = cv2.blur(motion.motion_map, (size, size))
     variance = cv2.blur(motion.motion_map**2, (size, size)) - mean**2
-    strength = mean / cv2.blur(motion.noise, (size, size))
+    strength = mean / motion.noise
     peak = strength >= cv2.dilate(strength, np.ones((2 * size + 1, 2 * size + 1), np.uint8))
     accepted = (strength > delta1) & (variance < (delta2 * mean) ** 2) & peak & motion.visible
     scored: Map = np.where(accepted, strength, 0.0).astype(np.float32)
@@ -71,10 +71,10 @@ def similar_velocity(motion: MotionEstimate, seed: Seed, delta: float) -> Mask:
     """
     vx, vy = seed.velocity
     squared = max(vx * vx + vy * vy, 1e-12)
-    u, v = motion.velocity[..., 0], motion.velocity[..., 1]
-    along = (u * vx + v * vy) / squared
-    across = np.abs(u * vy - v * vx) / squared
-    accepted: Mask = (along > 1.0 - delta) & (along < 1.0 + 2.0 * delta) & (across < delta)
+    # Shares of the seed's velocity along it and across it.
+    shares = cv2.transform(motion.velocity, np.array([[vx, vy], [-vy, vx]]) / squared)
+    along, across = cv2.split(shares)
+    accepted: Mask = (along > 1.0 - delta) & (along < 1.0 + 2.0 * delta) & (abs(across) < delta)
     return accepted
 
 

@@ -375,8 +375,9 @@ def _gap(mask: Mask, other: Mask) -> float:
 def _share_of_velocity(motion: MotionEstimate, seed: Seed) -> Map:
     """Give how much of the seed's velocity each pixel shares, HxW: 1 for all of it."""
     vx, vy = seed.velocity
-    along = motion.velocity[..., 0] * vx + motion.velocity[..., 1] * vy
-    return np.asarray(along / max(vx * vx + vy * vy, 1e-12), np.float32)
+    squared = max(vx * vx + vy * vy, 1e-12)
+    share: Map = cv2.transform(motion.velocity, np.array([[vx, vy]]) / squared)
+    return share
 
 
 def _eroded(mask: Mask, radius: int) -> Mask:
@@ -408,8 +409,19 @@ def _cropped(values: Map, box: Box, shape: tuple[int, int]) -> Map:
 
 def enlarged(mask: Mask, size: tuple[int, int]) -> Mask:
     """Give a mask at another size (width, height)."""
-    resized: Mask = cv2.resize(mask.astype(np.uint8) * np.uint8(255), size) > 127
-    return resized
+    x, y = size[0] / mask.shape[1], size[1] / mask.shape[0]
+    enlarged = np.zeros(size[::-1], bool)
+    if mask.any():
+        outline = Outline.of(mask)
+        part = resampled(outline, scaling(x, y), enlarged.shape, cv2.INTER_LINEAR)
+        enlarged[part.box.slices] = part.mask
+    return enlarged
+
+
+def scaling(x: float, y: float) -> Matrix:
+    """Give the transform to the pixels of a picture that is so many times as wide and high."""
+    # Pixel centres lie at whole numbers, so the scaled grid is shifted by half a pixel.
+    return np.array([[x, 0.0, (x - 1) / 2], [0.0, y, (y - 1) / 2], [0.0, 0.0, 1.0]])
 
 
 def resampled(
