@@ -186,6 +186,7 @@ BOMBS = {
     "zstd that states less than it is": ("zstd", zstandard.compress(BOMB), 100),
     "lz4 that states less than it is": ("lz4", lz4.frame.compress(BOMB), 100),
     "zstd that is cut": ("zstd", zstandard.compress(BOMB[:9999])[:15], 9999),
+    "lz4 that is cut": ("lz4", lz4.frame.compress(BOMB[:9999])[:15], 9999),
     "no zstd": ("zstd", b"nothing of the kind", 100),
     "no lz4": ("lz4", b"nothing of the kind", 100),
     "plain that states more": ("", b"abc", 2**63),

@@ -62,7 +62,7 @@ _DAMAGE = (
     KeyError,
     OverflowError,
     MemoryError,
-    RuntimeError,  # of lz4
+    *(RuntimeError, EOFError),  # of lz4
 )
 
 
