@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import functools
 import json
 import tempfile
 from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +37,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         raise UsageError("--scenes 1: give 2 or more, for some are held out")
     options.out.parent.mkdir(parents=True, exist_ok=True)
     cv2.setNumThreads(1)
-    trained_on, held_out = _examples(options.first_scene, options.scenes, options.frames)
+    scenes = range(options.first_scene, options.first_scene + options.scenes)
+    trained_on, held_out = _examples(scenes, options.frames, options.workers)
     with tempfile.TemporaryDirectory(dir=options.out.parent) as scratch:
         written = Path(scratch) / "weights"
         written.mkdir()
@@ -45,18 +48,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _examples(first: int, scenes: int, frames: int) -> tuple[Examples, Examples]:
+def _examples(scenes: Sequence[int], frames: int, workers: int) -> tuple[Examples, Examples]:
     """Render scenes and take their windows: those to train on, and those held out."""
-    parameters = Parameters()
     kept: list[Examples] = []
     held: list[Examples] = []
-    for seed in with_progress(range(first, first + scenes), "rendering", unit="scene"):
-        taken = examples_from(rendered_clip(seed, frames), parameters)
-        (held if (seed - first) % _HELD_OUT == 0 else kept).append(taken)
+    with ProcessPoolExecutor(workers, initializer=cv2.setNumThreads, initargs=(1,)) as pool:
+        taken = pool.map(functools.partial(_windows_of, frames=frames), scenes)
+        shown = with_progress(taken, "rendering", unit="scene", total=len(scenes))
+        for number, examples in enumerate(shown):
+            (held if number % _HELD_OUT == 0 else kept).append(examples)
     trained_on, held_out = Examples.joined(kept), Examples.joined(held)
     if not (len(trained_on) and len(held_out)):
-        raise UsageError(f"nothing moved in {scenes} scenes; render more, or longer ones")
+        raise UsageError(f"nothing moved in {len(scenes)} scenes; render more, or longer ones")
     return trained_on, held_out
+
+
+def _windows_of(scene: int, frames: int) -> Examples:
+    return examples_from(rendered_clip(scene, frames), Parameters())
 
 
 def _train(
@@ -111,6 +119,13 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--steps", type=positive_count, default=2500, metavar="N", help="default: %(default)s"
+    )
+    parser.add_argument(
+        "--workers",
+        type=positive_count,
+        default=1,
+        metavar="N",
+        help="processes that render (%(default)s); the windows are the same",
     )
     parser.add_argument(
         "--seed", type=int, default=1, metavar="N", help="of the network (%(default)s)"

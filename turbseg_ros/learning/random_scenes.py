@@ -23,8 +23,8 @@ _SPEEDS = 0.0006, 0.02
 _TILTS = 0.08, 2.0
 _EMPTY = 0.08
 # Landscapes and objects that are like nothing known, lest the network learn how ours look.
-_COLLAGE = 0.55
-_PATCHWORK = 0.45
+_COLLAGE = 0.4
+_PATCHWORK = 0.4
 _THERMAL = 0.2
 
 
