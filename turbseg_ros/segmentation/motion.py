@@ -189,20 +189,25 @@ def sampson_motion(
 
 
 def measured_tilt(residuals: Mapping[int, Flow], visible: npt.NDArray[np.bool_]) -> float:
-    """Measure the rms turbulent tilt an axis, in pixels, from the widest symmetric interval.
+    """Measure the rms turbulent tilt an axis, in pixels, from two flows that share a velocity.
 
-    (F(t→t+k) + F(t→t-k))/2 cancels every constant velocity and leaves
-    (tilt(t+k) + tilt(t-k))/2 - tilt(t), whose variance the tilt's temporal correlation gives.
-    The median over the picture leaves objects out. NaN without a symmetric pair.
+    (F(t→t+k) + F(t→t-k))/2, or with all on one side F(t→t+k) - F(t→t+2k)/2, cancels every
+    constant velocity and leaves a sum of tilts, whose variance their temporal correlation gives.
+    The widest such pair counts; the median over the picture leaves objects out. NaN without one.
     """
-    paired = [k for k in residuals if k > 0 and -k in residuals]
-    if not paired or not _sample(visible).any():
+    both_sides = [k for k in residuals if k > 0 and -k in residuals]
+    one_side = [k for k in residuals if 2 * k in residuals]
+    if not (both_sides or one_side) or not _sample(visible).any():
         return float("nan")
-    k = max(paired)
-    even = (_sample(residuals[k]) + _sample(residuals[-k]))[_sample(visible)] / 2.0
-    deviation = _robust_deviation(np.hypot(even[:, 0], even[:, 1]))
-    gain = 1.0 + (1.0 + _tilt_correlation(2 * k)) / 2.0 - 2.0 * _tilt_correlation(k)
-    return float(deviation / np.sqrt(gain))
+    k = max(both_sides or one_side, key=abs)
+    if both_sides:
+        left = (_sample(residuals[k]) + _sample(residuals[-k])) / 2.0
+    else:
+        left = _sample(residuals[k]) - _sample(residuals[2 * k]) / 2.0
+    left = left[_sample(visible)]
+    # Three tilts, k frames apart: the middle one less half of each other.
+    gain = 1.5 + _tilt_correlation(2 * k) / 2.0 - 2.0 * _tilt_correlation(k)
+    return _robust_deviation(np.hypot(left[:, 0], left[:, 1])) / float(np.sqrt(gain))
 
 
 def next_interval(interval: int, widest: int, tilt: float) -> int:
@@ -217,7 +222,7 @@ def next_interval(interval: int, widest: int, tilt: float) -> int:
 
 
 def _tilt_correlation(lag: int) -> float:
-    return _TILT_CORRELATION[min(lag, len(_TILT_CORRELATION) - 1)]
+    return _TILT_CORRELATION[min(abs(lag), len(_TILT_CORRELATION) - 1)]
 
 
 def _residuals(flows: Mapping[int, Flow], weights: Mapping[int, Map]) -> dict[int, Flow]:
