@@ -37,6 +37,10 @@ def refined_silhouettes(
     """
     found = []
     for window, probability in zip(windows, probabilities, strict=True):
-        parts = separated(opened(probability > 0.5))
+        mask = opened(probability > 0.5)
+        if not window.area.core.any():
+            # Nothing was found to move: without this the outline would creep away over the scene.
+            mask &= window.area.mask
+        parts = separated(mask)
         found += [Outline.of(part, window.box.x0, window.box.y0) for part in parts]
     return found
