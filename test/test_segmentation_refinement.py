@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from drawn_scene import DrawnScene, Mask, jaccard
 
 from turbseg_ros.parameters import Parameters
+from turbseg_ros.segmentation.background import Background, Box
 from turbseg_ros.segmentation.frame import Frame, SegmentationResult
 from turbseg_ros.segmentation.pipeline import MotionSegmenter
-from turbseg_ros.segmentation.silhouette import ObjectWindow
+from turbseg_ros.segmentation.refinement import refined_silhouettes
+from turbseg_ros.segmentation.silhouette import MovingArea, ObjectWindow
 
 SCENE = DrawnScene()
 FRAMES = [Frame(number, image) for number, image in enumerate(SCENE.images(20))]
@@ -45,3 +48,28 @@ def test_nothing_is_found_where_the_refiner_sees_only_background() -> None:
     results = refined([np.zeros(SCENE.shape, bool)] * len(FRAMES))
     assert len(results) == len(FRAMES)
     assert not any(result.objects for result in results)
+
+
+def test_the_outline_of_what_rests_stays_where_it_is_expected() -> None:
+    shape = (40, 60)
+    expected, nothing = np.zeros(shape, bool), np.zeros(shape, bool)
+    expected[10:30, 20:40] = True
+    known = Background(
+        np.zeros((*shape, 1), np.float32), np.ones((*shape, 1), np.float32), ~nothing
+    )
+    window = ObjectWindow(
+        box=Box(0, 0, 60, 40),
+        image=np.zeros((*shape, 1), np.uint8),
+        background=known,
+        area=MovingArea(expected, core=nothing, heart=nothing, velocity=(0.0, 0.0)),
+        motion=np.zeros(shape, np.float32),
+        tilt=0.5,
+        stamp=0,
+    )
+    wide = np.zeros(shape, np.float32)
+    wide[5:35, 10:50] = 1.0
+    (resting,) = refined_silhouettes([window], [wide])
+    assert resting.box == Box(20, 10, 40, 30)
+    moving = replace(window, area=replace(window.area, core=expected))
+    (outline,) = refined_silhouettes([moving], [wide])
+    assert outline.box == Box(10, 5, 50, 35)

@@ -30,8 +30,9 @@ _REACH = 0.6
 _PART = 0.5
 # Share of an object's expected mask that must lie in a candidate for the candidate to hold it.
 _HELD = 0.5
-# Share of the way its flow claims that a track must really have come to become an object.
-_HONESTY = 0.5
+# Share of the way its flow claims that a track must really have come to become an object: the
+# middle of what enters the picture comes half of it.
+_HONESTY = 0.35
 # Least IoU of a mask with the one before, moved along, on average over the frames of confirmation
 # and, for an object, over a longer span: leaves and waves change their shape all the time.
 _LIKE = 0.4
