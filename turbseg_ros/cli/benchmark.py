@@ -124,11 +124,16 @@ def _table(timing: Timing, needs: Footprint, options: argparse.Namespace) -> Ite
         f"{width}x{height}, {options.objects} objects, {options.frames} frames: "
         f"{needs.mebibytes:.0f} MiB, first result after {needs.start_seconds:.1f} s"
     )
-    yield f"{'':16} {'p50 ms':>8} {'p95 ms':>8} {'p99 ms':>8} {'flows':>7}"
+    head = ("p50 ms", "p95 ms", "p99 ms", "flows", "cpu ms", "flows")
+    yield f"{'':16} " + " ".join(f"{title:>8}" for title in head)
     rows = {**timing.frames, "flow": timing.yardstick}
-    for name, took in rows.items():
-        flows = took.p50 / timing.yardstick.p50
-        yield f"{name:16} {took.p50:8.1f} {took.p95:8.1f} {took.p99:8.1f} {flows:7.2f}"
+    for name, cost in rows.items():
+        flows = cost.p50 / timing.yardstick.p50
+        processor_flows = cost.processors / timing.yardstick.processors
+        yield (
+            f"{name:16} {cost.p50:8.1f} {cost.p95:8.1f} {cost.p99:8.1f} {flows:8.2f} "
+            f"{cost.processors:8.1f} {processor_flows:8.2f}"
+        )
     yield f"{'stage':16} {'mean ms':>8} {'flows':>26}"
     for name, milliseconds in timing.stages.items():
         yield f"{name:16} {milliseconds:8.2f} {milliseconds / timing.yardstick.p50:26.2f}"
@@ -153,6 +158,7 @@ def _report(
             {
                 **dataclasses.asdict(timing),
                 "ratios": {name: timing.ratio(name) for name in timing.frames},
+                "processor_ratios": {name: timing.processor_ratio(name) for name in timing.frames},
                 **dataclasses.asdict(needs),
             }
             for timing, needs in cases

@@ -1,13 +1,14 @@
 """How long a frame takes: the whole, its stages and its rivals, beside a yardstick.
 
-Milliseconds depend on the machine and on what else it does. Everything here takes turns frame by
-frame with one optical flow of a fixed kind, so that the ratio to that means the same everywhere.
+Milliseconds depend on the machine and on what else it does. Everything here takes turns, a few
+frames each, with one optical flow of a fixed kind, whose ratio means the same everywhere.
 """
 
 from __future__ import annotations
 
 import functools
 import importlib
+import itertools
 import multiprocessing
 import threading
 import time
@@ -34,6 +35,10 @@ Picture = npt.NDArray[np.uint8]
 YARDSTICK_SIZE = (432, 240)
 """Width and height of the pictures whose flow is the yardstick."""
 
+# Frames that each contender gets at a turn, and seconds for which its threads may finish then.
+_BLOCK = 10
+_PAUSE = 0.05
+
 _PIPELINE = "turbseg_ros.segmentation.pipeline"
 STAGES: Mapping[str, str] = {
     "scaling": f"{_PIPELINE}.prepare",
@@ -52,37 +57,39 @@ STAGES: Mapping[str, str] = {
 
 
 @dataclass(frozen=True)
-class Percentiles:
-    """Percentiles of what frames took, in milliseconds."""
+class Cost:
+    """What a frame costs, in milliseconds: percentiles of the time, and of processors the median.
+
+    Processors may work at the same time, and on flows of the next frame once a frame is answered.
+    """
 
     p50: float
     p95: float
     p99: float
-
-    @classmethod
-    def of(cls, seconds: Sequence[float]) -> Percentiles:
-        """Sum up durations in seconds, at least one."""
-        p50, p95, p99 = (1e3 * float(value) for value in np.percentile(seconds, [50, 95, 99]))
-        return cls(p50, p95, p99)
+    processors: float
 
 
 @dataclass(frozen=True)
 class Timing:
     """What contenders took for frames of one size.
 
-    `frames` gives each contender's times by its name, `yardstick` those of the flow beside it;
+    `frames` gives each contender's cost by its name, `yardstick` that of the flow beside it;
     `stages` gives the mean milliseconds a frame that calls of each stage took, less those of
     other stages within; stages run in several threads, so they may add up to more than the whole.
     """
 
     size: tuple[int, int]
-    frames: Mapping[str, Percentiles]
-    yardstick: Percentiles
+    frames: Mapping[str, Cost]
+    yardstick: Cost
     stages: Mapping[str, float]
 
     def ratio(self, name: str) -> float:
         """Give the median time of a contender in medians of the yardstick."""
         return self.frames[name].p50 / self.yardstick.p50
+
+    def processor_ratio(self, name: str) -> float:
+        """Give the same for the time of processors, which other processes disturb less."""
+        return self.frames[name].processors / self.yardstick.processors
 
 
 @dataclass(frozen=True)
@@ -114,34 +121,60 @@ def endless(clip: Sequence[Picture], size: tuple[int, int], rate_hz: float) -> I
 def measure(
     contenders: Sequence[Contender], frames: Iterable[Frame], warm_up: int, size: tuple[int, int]
 ) -> Timing:
-    """Time contenders on the same frames, turn by turn; the stages are those of the first one.
+    """Time contenders on the same frames, a few at a turn; the stages are those of the first one.
 
     :param warm_up: frames that are not counted, while memories fill.
     """
     segmenters = [contender.segmenter() for contender in contenders]
-    yardstick = _Yardstick()
-    seconds: list[list[float]] = [[] for _ in contenders]
-    yardstick_seconds = []
+    flow = _YardstickFlow()
+    meters = [_Meter() for _ in contenders]
+    yardstick = _Meter()
     clock = StageClock()
-    for number, frame in enumerate(frames):
-        with clock.watching(STAGES) if number >= warm_up else ExitStack():
-            took = [_seconds(functools.partial(segmenters[0].push, frame))]
-        took += [_seconds(functools.partial(rival.push, frame)) for rival in segmenters[1:]]
-        flow_took = yardstick.seconds(frame.image)
-        if number >= warm_up:
-            yardstick_seconds.append(flow_took)
-            for durations, duration in zip(seconds, took, strict=True):
-                durations.append(duration)
-    counted = len(yardstick_seconds)
+    coming = iter(frames)
+    for frame in itertools.islice(coming, warm_up):
+        for segmenter in segmenters:
+            segmenter.push(frame)
+        flow.compute(flow.prepared(frame))
+    while block := list(itertools.islice(coming, _BLOCK)):
+        with clock.watching(STAGES):
+            meters[0].run(segmenters[0].push, block)
+        for meter, segmenter in zip(meters[1:], segmenters[1:], strict=True):
+            meter.run(segmenter.push, block)
+        yardstick.run(flow.compute, [flow.prepared(frame) for frame in block])
+    counted = len(yardstick.seconds)
     return Timing(
         size=size,
         frames={
-            contender.name: Percentiles.of(durations)
-            for contender, durations in zip(contenders, seconds, strict=True)
+            contender.name: meter.cost()
+            for contender, meter in zip(contenders, meters, strict=True)
         },
-        yardstick=Percentiles.of(yardstick_seconds),
+        yardstick=yardstick.cost(),
         stages={name: 1e3 * total / counted for name, total in clock.seconds.items()},
     )
+
+
+class _Meter:
+    """Takes the time of something done to one item after the other."""
+
+    def __init__(self) -> None:
+        self.seconds: list[float] = []
+        self._processor_seconds: list[float] = []
+
+    def run(self, action: Callable[[Any], object], items: Sequence[Any]) -> None:
+        """Do it to each item."""
+        processors = time.process_time()
+        for item in items:
+            began = time.perf_counter()
+            action(item)
+            self.seconds.append(time.perf_counter() - began)
+        # Threads may be at work ahead: that is no one else's time.
+        time.sleep(_PAUSE)
+        self._processor_seconds.append((time.process_time() - processors) / len(items))
+
+    def cost(self) -> Cost:
+        """Sum up what was measured."""
+        p50, p95, p99 = (1e3 * float(ms) for ms in np.percentile(self.seconds, [50, 95, 99]))
+        return Cost(p50, p95, p99, 1e3 * float(np.median(self._processor_seconds)))
 
 
 class StageClock:
@@ -216,26 +249,23 @@ def _most_resident() -> float:
     return int(kibibytes) / 1024
 
 
-class _Yardstick:
+class _YardstickFlow:
     """One DIS flow, OpenCV's medium preset, between successive pictures of one small size."""
 
     def __init__(self) -> None:
         self._dis = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
         self._previous: Picture | None = None
 
-    def seconds(self, picture: Picture) -> float:
-        """Give what the flow from the picture before to this one takes."""
-        small = cv2.resize(picture, YARDSTICK_SIZE, interpolation=cv2.INTER_AREA)
-        grey = cv2.cvtColor(small, cv2.COLOR_BGR2GRAY) if small.ndim == 3 else small
+    def prepared(self, frame: Frame) -> Picture:
+        """Give the small grey picture of a frame."""
+        small = cv2.resize(frame.image, YARDSTICK_SIZE, interpolation=cv2.INTER_AREA)
+        return cv2.cvtColor(small, cv2.COLOR_BGR2GRAY) if small.ndim == 3 else small
+
+    def compute(self, grey: Picture) -> None:
+        """Compute the flow from the picture before to this one."""
         previous = grey if self._previous is None else self._previous
         self._previous = grey
-        return _seconds(lambda: self._dis.calc(previous, grey, None))
-
-
-def _seconds(action: Callable[[], object]) -> float:
-    began = time.perf_counter()
-    action()
-    return time.perf_counter() - began
+        self._dis.calc(previous, grey, None)
 
 
 def _resolve(path: str) -> Callable[..., Any]:

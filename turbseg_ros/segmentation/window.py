@@ -176,7 +176,9 @@ class FrameWindow:
         """Remember which pixels of a frame are objects, not background."""
         if index in self._frames:
             frame = self._frames[index]
-            self._frames[index] = replace(frame, scene=without_objects(frame.detail, objects))
+            scene = without_objects(frame.detail, objects)
+            # The picture is in there: no other copy is kept.
+            self._frames[index] = replace(frame, scene=scene, detail=scene[..., :-1])
 
     def shows_scene(self, index: int) -> bool:
         """Tell whether a frame has anything in common with the one before or after it.
