@@ -435,7 +435,8 @@ def test_a_slot_goes_to_the_next_object_when_its_own_has_ended(tmp_path, probe):
         assert node.stop(signal.SIGINT) == 0
     ids = [np.unique(image_from_message(label)).tolist()[1:] for label in labels]
     assert ids[20:28] == [[1]] * 8
-    assert ids[45:50] == [[]] * 5
+    # The flow looks ahead: what appears from nowhere in frame 50 may show in the one before.
+    assert ids[44:49] == [[]] * 5
     assert ids[70:78] == [[2]] * 8
     for label, mask in zip(labels, slots, strict=True):
         held = image_from_message(mask) > 0
