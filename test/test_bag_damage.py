@@ -425,6 +425,7 @@ def test_a_type_name_imports_nothing_but_messages(
         "just words",
         "{",
     ],
+    ids=lambda text: text[:30],
 )
 def test_odd_qos_does_not_keep_a_bag_from_being_read(
     tmp_path: Path, text: str, caplog: pytest.LogCaptureFixture

@@ -249,7 +249,9 @@ def test_no_such_bag_is_one_line(tmp_path, capsys):
     assert capsys.readouterr().err == f"turbseg_play: no such bag: {tmp_path / 'missing'}\n"
 
 
-@pytest.mark.parametrize("name", ["/..", "a b", "/x" * 2000, "/\x1b[2J"], ids=repr)
+@pytest.mark.parametrize(
+    "name", ["/..", "a b", "/x" * 2000, "/\x1b[2J"], ids=["dots", "space", "long", "control"]
+)
 def test_a_name_that_is_no_topic_is_left_out_and_told(tmp_path, capfd, name):
     with BagWriter(tmp_path / "bag") as writer:
         writer.write(name, String(data="odd"), 1)
