@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from rclpy.context import Context
 
 # Localhost only, and a domain that another run on this machine hardly has too. Set before
 # anything starts ROS, and inherited by every process that a test starts.
@@ -20,3 +21,12 @@ def ros_log_dir(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     directory = tmp_path_factory.mktemp("ros_log")
     os.environ["ROS_LOG_DIR"] = str(directory)
     yield directory
+
+
+@pytest.fixture(scope="module")
+def context() -> Iterator[Context]:
+    """Give a context for nodes within the test's own process."""
+    context = Context()
+    context.init()
+    yield context
+    context.try_shutdown()

@@ -115,20 +115,24 @@ def test_topics_agree_on_what_was_found(camera, labels, probe):
     annotations = probe.listen("/turbseg/annotations", ImageMarker)
     overlays = probe.listen("/turbseg/overlay", Image)
     motions = probe.listen("/turbseg/motion", Image)
-    everything = [labels, masks, *slots, centroids, annotations, overlays, motions]
+    stamped = [labels, masks, *slots, annotations, overlays, motions]
+    everything = [*stamped, centroids]
     camera = Camera(probe, rate=30.0)
     images = moving_square(1000)
     probe.wait_for(lambda: camera.play([next(images)]) and all(everything), "all topics")
     # Whatever has moved so far ends with the stream.
-    probe.wait_for(lambda: stamps_of(labels[-1:]) == [camera.stamp], "the last answer")
+    last = [camera.stamp]
+    probe.wait_for(lambda: all(stamps_of(topic[-1:]) == last for topic in stamped), "the last one")
     probe.spin(0.5)
     for topic in everything:
         topic.clear()
 
     stamps = Camera(probe).play(moving_square(40), answers=everything)
-    probe.wait_for(lambda: all(len(topic) == 40 for topic in everything), "all topics")
-    for topic in (labels, masks, *slots, annotations, overlays, motions):
+    probe.wait_for(lambda: all(len(topic) >= 40 for topic in everything), "all topics")
+    for topic in stamped:
         assert stamps_of(topic) == stamps
+    # Markers carry no stamp when nothing is shown: an early one may have come late.
+    centroids = centroids[-40:]
     for number, label in enumerate(map(image_from_message, labels)):
         ids = {int(value) for value in np.unique(label)} - {0}
         np.testing.assert_array_equal(image_from_message(masks[number]), 255 * (label > 0))

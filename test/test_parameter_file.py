@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -18,14 +17,6 @@ from turbseg_ros.parameters import ParameterError, Parameters
 
 CONFIG = Path(__file__).parent.parent / "config"
 PRESETS = sorted(CONFIG.glob("*.yaml"))
-
-
-@pytest.fixture(scope="module")
-def context() -> Iterator[Context]:
-    context = Context()
-    context.init()
-    yield context
-    context.try_shutdown()
 
 
 def write(path: Path, text: str) -> Path:

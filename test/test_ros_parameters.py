@@ -1,10 +1,8 @@
 """The package's parameters as a node has them; in one process, nothing goes over the network."""
 
 import math
-from collections.abc import Iterator
 
 import pytest
-from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
@@ -18,14 +16,6 @@ from turbseg_ros.ros.parameters import ParameterHandler, descriptor_of
 
 LIVE_FLOAT = "diagnostics.min_rate"
 READ_ONLY = "queue_size"
-
-
-@pytest.fixture(scope="module")
-def context() -> Iterator[Context]:
-    context = Context()
-    context.init()
-    yield context
-    context.try_shutdown()
 
 
 @pytest.fixture

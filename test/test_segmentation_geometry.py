@@ -10,6 +10,7 @@ from turbseg_ros.segmentation.geometry import (
     affine_flow,
     fit_affine_flow,
     fit_fundamental_matrix,
+    lengths,
     pixel_grid,
     sampson_distance,
 )
@@ -35,6 +36,18 @@ def two_views(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     flow = moved[..., :2] / moved[..., 2:] - pixels[..., :2]
     F = np.linalg.inv(K).T @ skew(translation) @ rotation @ np.linalg.inv(K)
     return flow.astype(np.float32), F / np.linalg.norm(F)
+
+
+def test_lengths_are_the_same_wherever_the_vectors_lie_in_memory() -> None:
+    vectors = np.random.default_rng(0).normal(size=(2, 4096)).astype(np.float32)
+    expected = lengths(*vectors)
+    np.testing.assert_allclose(expected, np.hypot(*vectors), rtol=1e-6)
+    for offset in range(0, 64, 4):
+        room = np.empty(vectors.nbytes + 128, np.uint8)
+        start = -room.ctypes.data % 64 + offset
+        moved = room[start : start + vectors.nbytes].view(np.float32).reshape(vectors.shape)
+        moved[:] = vectors
+        np.testing.assert_array_equal(lengths(*moved), expected)
 
 
 def test_pixel_grid_gives_x_before_y() -> None:

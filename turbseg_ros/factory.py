@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from turbseg_ros.learning.torch_import import require_torch
 from turbseg_ros.parameters import ParameterError, Parameters
 from turbseg_ros.segmentation.flow import FlowBackend
 from turbseg_ros.segmentation.pipeline import MotionSegmenter
@@ -43,7 +44,7 @@ def clip_segmenter(
     refine = parameters.refine
     if refine.mode != "optimise":
         return motion_segmenter(parameters)
-    _require_torch("refine.mode optimise")
+    require_torch("refine.mode optimise")
     from turbseg_ros.learning.optimise import ClipRefiner
 
     segmenter = MotionSegmenter(parameters, flow=_flow(parameters))
@@ -62,14 +63,8 @@ def _flow(parameters: Parameters) -> FlowBackend | None:
     chosen = parameters.flow.backend
     if chosen == "dis":
         return None
-    _require_torch(f"flow.backend {chosen}")
+    require_torch(f"flow.backend {chosen}")
     from turbseg_ros.learning.raft import RaftFlow
 
     weights = Path(parameters.flow.weights) if parameters.flow.weights else None
     return RaftFlow(chosen, weights, parameters.device)
-
-
-def _require_torch(what: str) -> None:
-    from turbseg_ros.learning.torch_import import require_torch
-
-    require_torch(what)

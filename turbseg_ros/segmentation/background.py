@@ -15,6 +15,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from turbseg_ros.segmentation.geometry import lengths
+
 Map = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.bool_]
 Image = npt.NDArray[np.uint8]
@@ -210,8 +212,7 @@ def _slope(picture: Map) -> Map:
     smooth = cv2.GaussianBlur(picture, (0, 0), 1.0)
     across = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, scale=1 / 8)
     down = cv2.Sobel(smooth, cv2.CV_32F, 0, 1, scale=1 / 8)
-    slope: Map = cv2.magnitude(across, down).reshape(picture.shape)
-    return slope
+    return lengths(across, down).reshape(picture.shape)
 
 
 def _sampled(view: View, box: Box) -> Image:

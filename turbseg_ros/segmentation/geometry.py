@@ -35,6 +35,22 @@ def pixel_grid(shape: tuple[int, int], step: int = 1) -> npt.NDArray[np.float32]
     return grid
 
 
+def lengths(x: Map, y: Map) -> Map:
+    """Give the lengths of the vectors (x, y).
+
+    The same vectors always have the same lengths. Those of cv2.magnitude differ in the last bit
+    with where an array happens to lie in memory.
+    """
+    squared: Map = x * x + y * y
+    return np.sqrt(squared, out=squared)
+
+
+def scaling(x: float, y: float) -> Matrix:
+    """Give the transform to the pixels of a picture that is so many times as wide and high."""
+    # Pixel centres lie at whole numbers, so the scaled grid is shifted by half a pixel.
+    return np.array([[x, 0.0, (x - 1) / 2], [0.0, y, (y - 1) / 2], [0.0, 0.0, 1.0]])
+
+
 def fit_affine_flow(flow: Flow, weights: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:
     """Fit (u, v) = (a + bx + cy, d + ex + fy) to a flow, robustly: Tukey's biweight on a grid.
 

@@ -80,10 +80,7 @@ def affine_motions(
     :param spans: sets of intervals, each of which gives an estimate.
     """
     residuals = _residuals(flows, weights)
-    return [
-        _estimate(*average(_of(residuals, span), _of(weights, span)), residuals, "affine")
-        for span in spans
-    ]
+    return _estimates(residuals, residuals, weights, spans, average, "affine")
 
 
 def unchecked_motions(
@@ -97,9 +94,20 @@ def unchecked_motions(
     Only what the alignment of the neighbours took out is missing from it. For the parameters see
     `affine_motions`; the tilt is measured as there.
     """
-    residuals = _residuals(flows, weights)
+    return _estimates(flows, _residuals(flows, weights), weights, spans, average, "none")
+
+
+def _estimates(
+    flows: Mapping[int, Flow],
+    residuals: Mapping[int, Flow],
+    weights: Mapping[int, Map],
+    spans: Sequence[Sequence[int]],
+    average: Average,
+    ego_motion_model: str,
+) -> list[MotionEstimate]:
+    """Average `flows` over each span; tilt is told by the `residuals`."""
     return [
-        _estimate(*average(_of(flows, span), _of(weights, span)), residuals, "none")
+        _estimate(*average(_of(flows, span), _of(weights, span)), residuals, ego_motion_model)
         for span in spans
     ]
 
@@ -113,7 +121,7 @@ def _estimate(
 ) -> MotionEstimate:
     visible = np.isfinite(uncertainty)
     velocity[~visible] = 0.0
-    motion_map: Map = cv2.magnitude(*cv2.split(velocity))
+    motion_map = geometry.lengths(*cv2.split(velocity))
     unit = _robust_deviation((_sample(motion_map) / _sample(uncertainty))[_sample(visible)])
     uncertainty = np.where(visible, uncertainty, np.float32(1.0))
     noise = np.maximum(np.float32(unit) * uncertainty, np.float32(_LEAST_NOISE))
@@ -133,7 +141,7 @@ def agree(motion: MotionEstimate, other: MotionEstimate) -> Mask:
     Where an object has passed within the longer time, flow finds nothing and means nothing.
     """
     change = motion.velocity - other.velocity
-    same: Mask = cv2.magnitude(*cv2.split(change)) < _AGREEMENT * motion.noise
+    same: Mask = geometry.lengths(*cv2.split(change)) < _AGREEMENT * motion.noise
     return same
 
 

@@ -16,6 +16,7 @@ from turbseg_ros.segmentation import region_growing
 from turbseg_ros.segmentation.background import View, without_objects
 from turbseg_ros.segmentation.flow import Flow, FlowBackend, dis_flow
 from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResult, label_of
+from turbseg_ros.segmentation.geometry import scaling
 from turbseg_ros.segmentation.motion import (
     MotionEstimate,
     affine_motions,
@@ -30,6 +31,7 @@ from turbseg_ros.segmentation.motion import (
 from turbseg_ros.segmentation.refinement import Refiner, refined_silhouettes
 from turbseg_ros.segmentation.region_growing import Region
 from turbseg_ros.segmentation.silhouette import (
+    SMEAR,
     MovingArea,
     Outline,
     convex_hull,
@@ -37,7 +39,6 @@ from turbseg_ros.segmentation.silhouette import (
     moving_areas,
     object_windows,
     resampled,
-    scaling,
     silhouettes,
     union,
 )
@@ -57,8 +58,6 @@ _FLOW_THREADS = 2
 _LONG = 3
 # Flow within this many pixels of another frame's border follows the border, not the scene.
 _BORDER = 4.0
-# Pixels at processing resolution by which flow smears past an object.
-_SMEAR = 7
 # Smallest region, in pixels at processing resolution, and smallest outline, in detail pixels.
 _SMALLEST_REGION = 12
 _SMALLEST_OUTLINE = 12
@@ -226,13 +225,12 @@ class MotionSegmenter:
     def _intervals(self) -> list[int]:
         p = self._parameters
         widest = p.flow.interval
-        if p.flow.average == "mean" or p.motion.measure == "sampson":
-            reach = list(range(1, widest + 1))
-        else:
+        if p.flow.average == "slope" and p.motion.measure != "sampson":
             return [-_LONG * self._interval, -self._interval, self._interval]
+        reach = range(1, widest + 1)
         if p.latency.mode == "causal":
             return [-k for k in reach] + [-k - widest for k in reach]
-        return [-k for k in reach] + reach
+        return [*(-k for k in reach), *reach]
 
     def _motions(self, centre: int) -> list[MotionEstimate]:
         """Measure the motion in a frame, over a short and a long time.
@@ -299,7 +297,7 @@ class MotionSegmenter:
         for motion in motions[1:]:
             taken = _dilated(
                 union([convex_hull(region.mask) for region in regions], short.motion_map.shape),
-                _SMEAR,
+                SMEAR,
             )
             regions = self._regions(motion, taken | ~agree(short, motion))
             slow = union([region.mask for region in regions], taken.shape)

@@ -19,6 +19,7 @@ from turbseg_ros.segmentation.background import (
     largest,
     smallest,
 )
+from turbseg_ros.segmentation.geometry import scaling
 from turbseg_ros.segmentation.motion import MotionEstimate
 from turbseg_ros.segmentation.region_growing import Region, Seed
 
@@ -50,8 +51,8 @@ _GAP = 0.2
 _DEBRIS = 0.1
 # Share of a seed's velocity from which a pixel is hardly another's smear.
 _CORE = 0.75
-# Pixels at processing resolution by which flow smears past an edge.
-_SMEAR = 7
+SMEAR = 7
+"""Pixels at processing resolution by which flow smears past an edge."""
 # Two regions are one object's when their velocities differ by less than this fraction, and their
 # gap is less than that fraction of the root of the smaller one's area.
 _ALIKE = 0.3
@@ -124,7 +125,7 @@ def moving_areas(
             MovingArea(
                 mask=enlarged(convex_hull(mask), size),
                 core=enlarged(core, size),
-                heart=enlarged(_eroded(core, _SMEAR), size),
+                heart=enlarged(_eroded(core, SMEAR), size),
                 velocity=(seed.velocity[0] * scale[0], seed.velocity[1] * scale[1]),
             )
         )
@@ -149,6 +150,7 @@ def object_windows(
     moving = union([area.mask for area in areas], shape)
     core = union([area.core for area in areas], shape)
     heart = union([area.heart for area in areas], shape)
+    strength = motion.motion_map / motion.noise
     windows = []
     count, pieces = cv2.connectedComponents(moving.astype(np.uint8))
     for piece in range(1, count):
@@ -161,7 +163,7 @@ def object_windows(
                 image=image[cut],
                 background=background_in(box, views),
                 area=MovingArea(inside[cut], core[cut], heart[cut], (0.0, 0.0)),
-                motion=_cropped(motion.motion_map / motion.noise, box, shape),
+                motion=_cropped(strength, box, shape),
                 tilt=tilt,
                 stamp=stamp,
             )
@@ -416,12 +418,6 @@ def enlarged(mask: Mask, size: tuple[int, int]) -> Mask:
         part = resampled(outline, scaling(x, y), enlarged.shape, cv2.INTER_LINEAR)
         enlarged[part.box.slices] = part.mask
     return enlarged
-
-
-def scaling(x: float, y: float) -> Matrix:
-    """Give the transform to the pixels of a picture that is so many times as wide and high."""
-    # Pixel centres lie at whole numbers, so the scaled grid is shifted by half a pixel.
-    return np.array([[x, 0.0, (x - 1) / 2], [0.0, y, (y - 1) / 2], [0.0, 0.0, 1.0]])
 
 
 def resampled(

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from turbseg_ros.segmentation.background import Box
+from turbseg_ros.segmentation.silhouette import Outline, resampled
 
 Mask = npt.NDArray[np.bool_]
 Matrix = npt.NDArray[np.float64]
@@ -164,20 +165,14 @@ class Track:
 
         :param ego_motion: takes the last frame's pixels to the coming one's.
         """
-        box = self.candidate.box
         # The position has been carried along since the mask was last seen.
-        way = self.position - self.candidate.centroid + np.asarray(self.velocity)
-        place = np.array([[1.0, 0.0, box.x0 + way[0]], [0.0, 1.0, box.y0 + way[1]], [0, 0, 1.0]])
-        moved: Mask = (
-            cv2.warpAffine(
-                self.candidate.mask.astype(np.uint8),
-                (ego_motion @ place)[:2],
-                (shape[1], shape[0]),
-                flags=cv2.INTER_NEAREST,
-            )
-            > 0
-        )
-        return moved
+        x, y = self.position - self.candidate.centroid + np.asarray(self.velocity)
+        way = np.array([[1.0, 0.0, x], [0.0, 1.0, y], [0.0, 0.0, 1.0]])
+        seen = Outline(self.candidate.box, self.candidate.mask)
+        moved = resampled(seen, ego_motion @ way, shape, cv2.INTER_NEAREST)
+        expected = np.zeros(shape, bool)
+        expected[moved.box.slices] = moved.mask
+        return expected
 
     def observed(self) -> Observation:
         """Remember where it is now, and give what is known of it in this frame."""
@@ -244,15 +239,8 @@ def divided_among(candidate: Candidate, tracks: Sequence[Track]) -> list[Candida
     for index, track in enumerate(tracks):
         mask = candidate.mask & (nearest == index)
         if mask.any():
-            box = Box.around(mask)
-            parts.append(
-                Candidate(
-                    box.moved(candidate.box.x0, candidate.box.y0),
-                    mask[box.slices],
-                    track.velocity,
-                    candidate.moving,
-                )
-            )
+            part = Outline.of(mask, candidate.box.x0, candidate.box.y0)
+            parts.append(Candidate(part.box, part.mask, track.velocity, candidate.moving))
     return parts
 
 

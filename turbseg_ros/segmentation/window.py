@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from turbseg_ros.segmentation.background import without_objects
+from turbseg_ros.segmentation.geometry import scaling
 from turbseg_ros.segmentation.stabilization import register_affine
 
 Mask = npt.NDArray[np.bool_]
@@ -68,9 +69,7 @@ class Resolution:
 
     def to_detail(self, transform: Matrix) -> Matrix:
         """Give a transform between processing images as one between detail images."""
-        x, y = self.detail_from_processing
-        # Pixel centres lie at whole numbers, so the scaled grid is shifted by half a pixel.
-        scale = np.array([[x, 0, (x - 1) / 2], [0, y, (y - 1) / 2], [0, 0, 1]])
+        scale = scaling(*self.detail_from_processing)
         result: Matrix = scale @ transform @ np.linalg.inv(scale)
         return result
 
@@ -163,9 +162,9 @@ class FrameWindow:
         """
         given = 0
         while self._next_centre < self._count:
-            waiting = self._count - self._next_centre
-            late = waiting > self._look_ahead
-            if not ended and not (self._count >= self._warm_up and late and given < _CATCH_UP):
+            late = self._count - self._next_centre > self._look_ahead
+            due = late and self._count >= self._warm_up and given < _CATCH_UP
+            if not (ended or due):
                 return
             given += 1
             self._next_centre += 1
