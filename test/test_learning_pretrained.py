@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -18,11 +19,13 @@ from turbseg_ros.learning.errors import NetworkError
 from turbseg_ros.learning.pretrained import SHIPPED, PretrainedRefiner
 from turbseg_ros.learning.window_input import CHANNELS, SIDE, window_input
 from turbseg_ros.parameters import Parameters
-from turbseg_ros.segmentation.background import Background, Box
+from turbseg_ros.segmentation.background import Box, View, without_objects
 from turbseg_ros.segmentation.frame import Frame, SegmentationResult
 from turbseg_ros.segmentation.silhouette import MovingArea, ObjectWindow
 
 SCENE = DrawnScene()
+# What the views of the ground differ by, in grey values.
+GRAIN = (-4, -2, 0, 2, 4)
 PARAMETERS = Parameters.from_mapping({"resolution.processing": 160, "refine.mode": "pretrained"})
 
 
@@ -34,11 +37,14 @@ def window(shape: tuple[int, int], channels: int = 1, seed: int = 0) -> ObjectWi
     block[height // 4 : -(height // 4), width // 4 : -(width // 4)] = True
     image = ground.copy()
     image[block] = 20
-    spread = np.full(ground.shape, 2.0, np.float32)
-    background = Background(ground.astype(np.float32), spread, np.ones(shape, bool))
+    views = [view_of((ground.astype(int) + offset).astype(np.uint8)) for offset in GRAIN]
     motion = cv2.GaussianBlur(block.astype(np.float32), (0, 0), 4.0) * 20.0
     area = MovingArea(motion > 2.0, motion > 12.0, motion > 18.0, (3.0, 0.0))
-    return ObjectWindow(Box(0, 0, width, height), image, background, area, motion, 0.1, 0)
+    return ObjectWindow(Box(0, 0, width, height), image, views, area, motion, 0.1, 0)
+
+
+def view_of(ground: np.ndarray) -> View:
+    return View(without_objects(ground, np.zeros(ground.shape[:2], bool)), np.eye(3))
 
 
 def block_of(shape: tuple[int, int]) -> np.ndarray:
@@ -63,11 +69,8 @@ def test_an_input_has_one_size_and_range_whatever_the_window(
 
 def test_the_input_does_not_depend_on_exposure_or_gain() -> None:
     bright = window((60, 80))
-    image, background = bright.image // 2 + 10, bright.background
-    dimmed = Background(background.median / 2 + 10, background.spread / 2, background.known)
-    dark = ObjectWindow(
-        bright.box, image, dimmed, bright.area, bright.motion, bright.tilt, bright.stamp
-    )
+    views = [view_of(view.scene.image[..., :-1] // 2 + 10) for view in bright.views]
+    dark = replace(bright, image=bright.image // 2 + 10, views=views)
     change = np.abs(window_input(dark) - window_input(bright)).mean(axis=(1, 2))
     # Deviations only approach that, for no noise is taken to be lower than a camera's.
     assert np.delete(change, CHANNELS.index("deviation")).max() < 0.02
@@ -75,14 +78,9 @@ def test_the_input_does_not_depend_on_exposure_or_gain() -> None:
 
 def test_nothing_is_told_of_a_background_that_is_unknown() -> None:
     known = window((60, 80))
-    hidden = Background(
-        np.full_like(known.background.median, np.nan),
-        np.full_like(known.background.spread, np.nan),
-        np.zeros((60, 80), bool),
-    )
-    maps = window_input(
-        ObjectWindow(known.box, known.image, hidden, known.area, known.motion, 0.1, 0)
-    )
+    everywhere = np.ones((60, 80), bool)
+    hidden = [View(without_objects(known.image, everywhere), np.eye(3))] * len(known.views)
+    maps = window_input(replace(known, views=hidden))
     assert np.isfinite(maps).all()
     for name in ("change", "deviation", "difference", "known"):
         assert not maps[CHANNELS.index(name)].any()

@@ -13,7 +13,6 @@ from turbseg_ros.bag.reader import BagReader
 from turbseg_ros.bag.topics import LABELS_TOPIC
 from turbseg_ros.cli import evaluate, replay
 from turbseg_ros.evaluation.labels import read_labels
-from turbseg_ros.segmentation import pipeline
 
 STAMPS = [number * 33_000_000 for number in range(20)]
 
@@ -23,8 +22,8 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_drawn_bag(tmp_path_factory.mktemp("drawn") / "bag", STAMPS)
 
 
-def replayed(bag: Path, out: Path) -> list[tuple[int, bytes]]:
-    assert replay.main([str(bag), "-o", str(out)]) == 0
+def replayed(bag: Path, out: Path, *options: str) -> list[tuple[int, bytes]]:
+    assert replay.main([str(bag), "-o", str(out), *options]) == 0
     labels = read_labels(BagReader(out), LABELS_TOPIC)
     return [(item.stamp, item.labels.tobytes()) for item in labels]
 
@@ -36,16 +35,14 @@ def test_two_replays_give_the_same_labels(bag: Path, tmp_path: Path) -> None:
     assert first == second
 
 
-def test_on_one_thread_and_on_two_the_labels_are_the_same(
-    bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_on_one_thread_and_on_two_the_labels_are_the_same(bag: Path, tmp_path: Path) -> None:
     threads = cv2.getNumThreads()
     labels = {}
     try:
         for flow, opencv in ((1, 1), (2, 2)):
-            monkeypatch.setattr(pipeline, "_FLOW_THREADS", flow)
             cv2.setNumThreads(opencv)
-            labels[flow, opencv] = replayed(bag, tmp_path / f"out_{flow}_{opencv}")
+            out = tmp_path / f"out_{flow}_{opencv}"
+            labels[flow, opencv] = replayed(bag, out, "-p", f"threads:={flow}")
     finally:
         cv2.setNumThreads(threads)
     assert all(found == labels[1, 1] for found in labels.values())

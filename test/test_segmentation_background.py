@@ -180,5 +180,5 @@ def test_shimmer_excuses_edges_and_nothing_else() -> None:
 def test_a_still_scene_deviates_as_noise_does() -> None:
     views = noisy_views(30, 4.0)
     background = background_in(WHOLE, views)
-    deviation = deviation_from(background, views[3].scene[..., :-1], tilt=0.1)
+    deviation = deviation_from(background, views[3].scene.image[..., :-1], tilt=0.1)
     assert np.mean(deviation > 3.0) < 0.01

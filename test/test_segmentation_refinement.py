@@ -9,7 +9,7 @@ import numpy as np
 from drawn_scene import DrawnScene, Mask, jaccard
 
 from turbseg_ros.parameters import Parameters
-from turbseg_ros.segmentation.background import Background, Box
+from turbseg_ros.segmentation.background import Box
 from turbseg_ros.segmentation.frame import Frame, SegmentationResult
 from turbseg_ros.segmentation.pipeline import MotionSegmenter
 from turbseg_ros.segmentation.refinement import refined_silhouettes
@@ -54,13 +54,10 @@ def test_the_outline_of_what_rests_stays_where_it_is_expected() -> None:
     shape = (40, 60)
     expected, nothing = np.zeros(shape, bool), np.zeros(shape, bool)
     expected[10:30, 20:40] = True
-    known = Background(
-        np.zeros((*shape, 1), np.float32), np.ones((*shape, 1), np.float32), ~nothing
-    )
     window = ObjectWindow(
         box=Box(0, 0, 60, 40),
         image=np.zeros((*shape, 1), np.uint8),
-        background=known,
+        views=[],
         area=MovingArea(expected, core=nothing, heart=nothing, velocity=(0.0, 0.0)),
         motion=np.zeros(shape, np.float32),
         tilt=0.5,

@@ -224,8 +224,8 @@ def test_objects_are_remembered_with_their_frame() -> None:
     window.mark_objects(1, objects)
     scene = window[1].scene
     assert scene is not None
-    np.testing.assert_array_equal(scene[..., :-1], window[1].detail)
-    assert (scene[..., -1] == 255).all()
+    np.testing.assert_array_equal(scene.image[..., :-1], window[1].detail)
+    assert (scene.image[..., -1] == 255).all()
     assert window[0].scene is None
 
 

@@ -167,6 +167,14 @@ class FlowParameters:
         maximum=16,
         read_only=True,
     )
+    every: int = parameter(
+        2,
+        "Every how many frames motion is measured; in between, what moves is carried along.",
+        unit="frames",
+        minimum=1,
+        maximum=8,
+        read_only=True,
+    )
     average: str = parameter(
         "slope",
         "slope: fit the velocity to the flows at ±B and -3B; mean: the paper's eq. 1, ±1 to ±B.",
@@ -258,7 +266,7 @@ class OutlineParameters:
         read_only=True,
     )
     key_step: int = parameter(
-        3,
+        4,
         "Every how many frames one is remembered.",
         unit="frames",
         minimum=1,
@@ -376,6 +384,13 @@ class Parameters:
         unit="frames",
         minimum=1,
         maximum=1000,
+        read_only=True,
+    )
+    threads: int = parameter(
+        2,
+        "Threads in which flow is computed, beside the one that draws outlines.",
+        minimum=1,
+        maximum=16,
         read_only=True,
     )
     device: str = parameter(

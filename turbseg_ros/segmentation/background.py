@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from turbseg_ros.segmentation.geometry import lengths
+from turbseg_ros.segmentation.geometry import lengths, scaling, translation
 
 Map = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.bool_]
@@ -26,6 +26,9 @@ Matrix = npt.NDArray[np.float64]
 _FEWEST_SAMPLES = 3
 # Value of the channel that tells where objects hide the scene: no grey value is higher.
 _HIDDEN = 255
+# Area in pixels from which on those of half the size are sampled.
+_COARSE = 4.0
+_TO_HALF = scaling(0.5, 0.5)
 # Interquartile range of a normal variable, in standard deviations.
 _IQR_TO_SIGMA = 1.0 / 1.349
 # Grey values closer than this are the same, whatever the camera.
@@ -84,22 +87,33 @@ class Box:
 
 
 @dataclass(frozen=True)
-class View:
-    """Another frame of the same scene, and where it looks.
+class Scene:
+    """A frame and where objects hide the scene in it.
 
-    `scene` is the frame with a channel more, HxWx(C+1), see :func:`without_objects`; `to_image`
-    takes the reference frame's pixel coordinates to its own.
+    `image` is HxWx(C+1): its last channel is 255 where objects are, else 0.
     """
 
-    scene: Image
+    image: Image
+
+    @functools.cached_property
+    def half(self) -> Scene:
+        """The same at half the size."""
+        size = (max(self.image.shape[1] // 2, 1), max(self.image.shape[0] // 2, 1))
+        return Scene(cv2.resize(self.image, size, interpolation=cv2.INTER_AREA))
+
+
+@dataclass(frozen=True)
+class View:
+    """Another frame of the same scene; `to_image` takes the reference's pixels to its own."""
+
+    scene: Scene
     to_image: Matrix
 
 
-def without_objects(image: Image, objects: Mask) -> Image:
-    """Give an image, HxWxC, a last channel that is 255 where objects hide the scene, else 0."""
+def without_objects(image: Image, objects: Mask) -> Scene:
+    """Give the scene that a frame, HxWxC, shows where it shows no objects."""
     hidden = objects.view(np.uint8) * np.uint8(_HIDDEN)
-    scene: Image = cv2.merge([*cv2.split(image), hidden])
-    return scene
+    return Scene(cv2.merge([*cv2.split(image), hidden]))
 
 
 @dataclass(frozen=True)
@@ -115,17 +129,24 @@ class Background:
     known: Mask
 
 
-def background_in(box: Box, views: Sequence[View]) -> Background:
-    """Estimate the background within a box of the reference frame from other views of it."""
-    pictures = [_sampled(view, box) for view in views]
-    count = np.zeros(box.shape, np.intp)
+def background_in(
+    box: Box, views: Sequence[View], shape: tuple[int, int] | None = None
+) -> Background:
+    """Estimate the background within a box of the reference frame from other views of it.
+
+    :param shape: rows and columns to sample the box at, its own if None.
+    """
+    shape = shape or box.shape
+    pictures = [_sampled(view, box, shape) for view in views]
+    count = np.full(shape, len(views))
     for picture in pictures:
         hidden = picture[..., -1] > 127
-        # So that they sort last.
-        picture[hidden] = _HIDDEN
-        count += ~hidden
+        if hidden.any():
+            # So that they sort last.
+            picture[hidden] = _HIDDEN
+            count -= hidden
     samples = np.stack(_ordered(pictures))
-    rows, columns = np.indices(box.shape, sparse=True)
+    rows, columns = np.indices(shape, sparse=True)
     last = np.maximum(count - 1, 0)
 
     def quantile(quarters: int) -> Map:
@@ -174,8 +195,7 @@ def difference_from(background: Background, image: Image) -> Map:
 
     :param image: hxwxC, the same part of the reference frame.
     """
-    difference = cv2.absdiff(image.astype(np.float32), background.median)
-    return largest(difference.reshape(image.shape))
+    return largest(_difference(background, image))
 
 
 def deviation_from(background: Background, image: Image, tilt: float) -> Map:
@@ -192,8 +212,12 @@ def deviation_from(background: Background, image: Image, tilt: float) -> Map:
     )
     noise = np.maximum(background.spread, max(usual, _LEAST_NOISE))
     shimmer = _slope(background.median) * max(tilt, _LEAST_TILT)
-    difference = cv2.absdiff(image.astype(np.float32), background.median)
-    return largest(difference.reshape(image.shape) / np.sqrt(noise**2 + shimmer**2))
+    return largest(_difference(background, image) / np.sqrt(noise * noise + shimmer * shimmer))
+
+
+def _difference(background: Background, image: Image) -> Map:
+    """Give the difference in grey values of each channel, hxwxC."""
+    return np.abs(image - background.median)
 
 
 def largest(values: Map) -> Map:
@@ -215,16 +239,20 @@ def _slope(picture: Map) -> Map:
     return lengths(across, down).reshape(picture.shape)
 
 
-def _sampled(view: View, box: Box) -> Image:
+def _sampled(view: View, box: Box, shape: tuple[int, int]) -> Image:
     """Resample a view in a box, hxwx(C+1); what is out of view counts as hidden."""
-    height, width = box.shape
-    to_box = np.array([[1.0, 0.0, box.x0], [0.0, 1.0, box.y0], [0.0, 0.0, 1.0]])
+    height, width = shape
+    to_box = translation(box.x0, box.y0) @ scaling(box.shape[1] / width, box.shape[0] / height)
+    scene, to_image = view.scene, view.to_image @ to_box
+    # Pixels further apart than two of the image are sampled from an average of them.
+    while abs(np.linalg.det(to_image[:2, :2])) >= _COARSE and min(scene.image.shape[:2]) > 1:
+        scene, to_image = scene.half, _TO_HALF @ to_image
     sampled: Image = cv2.warpAffine(
-        view.scene,
-        (view.to_image @ to_box)[:2],
+        scene.image,
+        to_image[:2],
         (width, height),
         flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
         borderMode=cv2.BORDER_CONSTANT,
-        borderValue=(_HIDDEN,) * view.scene.shape[2],
+        borderValue=(_HIDDEN,) * scene.image.shape[2],
     )
     return sampled

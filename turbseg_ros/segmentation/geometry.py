@@ -45,6 +45,11 @@ def lengths(x: Map, y: Map) -> Map:
     return np.sqrt(squared, out=squared)
 
 
+def translation(x: float, y: float) -> Matrix:
+    """Give the transform that moves pixels by (x, y)."""
+    return np.array([[1.0, 0.0, x], [0.0, 1.0, y], [0.0, 0.0, 1.0]])
+
+
 def scaling(x: float, y: float) -> Matrix:
     """Give the transform to the pixels of a picture that is so many times as wide and high."""
     # Pixel centres lie at whole numbers, so the scaled grid is shifted by half a pixel.

@@ -12,68 +12,44 @@ import numpy as np
 import numpy.typing as npt
 
 from turbseg_ros.parameters import Parameters
-from turbseg_ros.segmentation import region_growing
 from turbseg_ros.segmentation.background import View, without_objects
 from turbseg_ros.segmentation.flow import Flow, FlowBackend, dis_flow
 from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResult, label_of
-from turbseg_ros.segmentation.geometry import scaling
+from turbseg_ros.segmentation.geometry import scaling, translation
 from turbseg_ros.segmentation.motion import (
     MotionEstimate,
-    affine_motions,
-    agree,
-    mean_velocity,
-    merged,
     next_interval,
-    sampson_motion,
-    slope_velocity,
-    unchecked_motions,
 )
+from turbseg_ros.segmentation.moving import Moving, carried, measured_motions, what_moves
 from turbseg_ros.segmentation.refinement import Refiner, refined_silhouettes
-from turbseg_ros.segmentation.region_growing import Region
 from turbseg_ros.segmentation.silhouette import (
-    SMEAR,
     MovingArea,
     Outline,
-    convex_hull,
+    dilated,
     enlarged,
-    moving_areas,
     object_windows,
     resampled,
     silhouettes,
     union,
 )
-from turbseg_ros.segmentation.stabilization import align, visible
 from turbseg_ros.segmentation.tone import ToneMap
 from turbseg_ros.segmentation.track import Candidate, IdentityKeeper, Observation
 from turbseg_ros.segmentation.tracking import ObjectTracker
 from turbseg_ros.segmentation.unification import KMeansUnifier
-from turbseg_ros.segmentation.window import FrameWindow, Resolution, prepare
+from turbseg_ros.segmentation.window import FrameWindow, Neighbourhood, Resolution, prepare
 
 Mask = npt.NDArray[np.bool_]
 Matrix = npt.NDArray[np.float64]
 ByteImage = npt.NDArray[np.uint8]
 
-_FLOW_THREADS = 2
 # Flow is also taken so many times B back, for what is slow.
 _LONG = 3
-# Flow within this many pixels of another frame's border follows the border, not the scene.
-_BORDER = 4.0
-# Smallest region, in pixels at processing resolution, and smallest outline, in detail pixels.
-_SMALLEST_REGION = 12
+# Smallest outline, in detail pixels.
 _SMALLEST_OUTLINE = 12
 # Pixels by which objects are widened before what is left counts as background.
 _GUARD = 2
 # A known object counts as resting when motion was found on less than this share of it.
 _RESTING = 0.6
-
-
-@dataclass(frozen=True)
-class _Moving:
-    """What moves in a frame: the motion measured, the regions grown, where objects may be."""
-
-    motion: MotionEstimate
-    regions: Sequence[Region]
-    areas: Sequence[MovingArea]
 
 
 @dataclass(frozen=True)
@@ -107,9 +83,10 @@ class MotionSegmenter:
         """
         self._refiner = refiner
         self._flow = flow
-        self._executor = ThreadPoolExecutor(_FLOW_THREADS, thread_name_prefix="flow")
-        # Flows that are being computed, by frame and interval.
-        self._ordered: dict[tuple[int, int], Future[Flow]] = {}
+        self._executor = ThreadPoolExecutor(parameters.threads, thread_name_prefix="flow")
+        self._finder = ThreadPoolExecutor(1, thread_name_prefix="motion")
+        # What moves in frames to come, as it is being found.
+        self._ordered: dict[int, Future[Moving | None]] = {}
         self._tone = ToneMap()
         self.reconfigure(parameters)
 
@@ -127,7 +104,7 @@ class MotionSegmenter:
         p = self._parameters
         self._window = FrameWindow(
             reach=_LONG * p.flow.interval,
-            look_ahead=0 if p.latency.mode == "causal" else p.flow.interval,
+            look_ahead=self._look_ahead,
             warm_up=0 if p.latency.mode == "causal" else p.latency.warm_up,
             memory=p.outline.memory,
             key_step=p.outline.key_step,
@@ -138,9 +115,10 @@ class MotionSegmenter:
         self._kind: tuple[object, ...] = ()
         self._frames: dict[int, Frame] = {}
         self._pending: deque[_Pending] = deque()
-        for flow in self._ordered.values():
-            flow.cancel()
+        for found in self._ordered.values():
+            found.cancel()
         self._ordered = {}
+        self._moving: Moving | None = None
         self._interval = p.flow.interval
 
     @property
@@ -151,10 +129,17 @@ class MotionSegmenter:
     @property
     def look_ahead(self) -> int:
         """Frames that must follow a frame before its result is given."""
+        causal = self._parameters.latency.mode == "causal"
+        return self._look_ahead + (0 if causal else self._identities.delay)
+
+    @property
+    def _look_ahead(self) -> int:
+        """Frames that must follow a frame before it is segmented.
+
+        They are its own neighbours and those of the frame measured next, which is then worked on.
+        """
         p = self._parameters
-        if p.latency.mode == "causal":
-            return 0
-        return p.flow.interval + self._identities.delay
+        return 0 if p.latency.mode == "causal" else p.flow.interval + p.flow.every
 
     def push(self, frame: Frame) -> list[SegmentationResult]:
         """Take the next frame; give the results that are ready, of earlier frames mostly."""
@@ -195,14 +180,12 @@ class MotionSegmenter:
         assert self._resolution is not None
         frame = self._frames.pop(centre)
         ego_motion = self._ego_motion(centre)
-        motions = self._motions(centre) if self._window.shows_scene(centre) else []
-        if not motions:
+        moving = self._what_moves(centre)
+        self._moving = moving
+        self._measure_ahead(centre)
+        if moving is None:
             self._identities.update([], ego_motion, 0.0)
             return _Pending(frame, self._resolution, None, [])
-        self._interval = next_interval(
-            self._interval, self._parameters.flow.interval, motions[0].tilt
-        )
-        moving = self._what_moves(motions)
         scale = self._resolution.detail_from_processing[0]
         tilt = 0.0 if np.isnan(moving.motion.tilt) else moving.motion.tilt * scale
         candidates = self._outlines(centre, moving, ego_motion, tilt, frame.stamp)
@@ -232,97 +215,68 @@ class MotionSegmenter:
             return [-k for k in reach] + [-k - widest for k in reach]
         return [*(-k for k in reach), *reach]
 
-    def _motions(self, centre: int) -> list[MotionEstimate]:
-        """Measure the motion in a frame, over a short and a long time.
+    def _what_moves(self, centre: int) -> Moving | None:
+        """Find what moves in a frame; None where there is nothing to compare it with."""
+        if not self._window.shows_scene(centre):
+            return None
+        if self._is_carried(centre):
+            assert self._moving is not None and self._resolution is not None
+            ego_motion = self._window.transform(centre - 1, centre)
+            return carried(self._moving, ego_motion, self._resolution)
+        if centre not in self._ordered:
+            self._order(centre)
+        found = self._ordered.pop(centre).result()
+        if found is not None:
+            widest = self._parameters.flow.interval
+            self._interval = next_interval(self._interval, widest, found.motion.tilt)
+        return found
 
-        Nothing is given while there is nothing to compare it with.
-        """
-        intervals = self._window.neighbours(centre, self._intervals())
-        if len(intervals) < 2:
-            return []
-        height, width = self._window[centre].grey.shape
-        weights = {
-            k: visible(
-                (height, width), self._window.transform(centre, centre + k), _BORDER
-            ).astype(np.float32)
-            for k in intervals
-        }
-        flows = self._flows(centre, intervals)
-        p = self._parameters
-        if p.motion.measure == "sampson":
-            return [sampson_motion(flows, weights, _interval_sets(p.flow.interval))]
-        measure = affine_motions if p.motion.measure == "affine" else unchecked_motions
-        if p.flow.average == "mean":
-            return measure(flows, weights, [intervals], mean_velocity)
-        near = [k for k in intervals if abs(k) <= 2 * self._interval]
-        one = len(near) in (len(intervals), 0, 1)
-        return measure(flows, weights, [intervals] if one else [near, intervals], slope_velocity)
+    def _is_carried(self, centre: int) -> bool:
+        """Tell whether motion is not measured in a frame but carried along from the one before."""
+        due = centre % self._parameters.flow.every == 0
+        return not due and self._moving is not None and self._window[centre].continues
 
-    def _flows(self, centre: int, intervals: Sequence[int]) -> dict[int, Flow]:
-        """Give the flows of a frame to its neighbours, which are aligned to it."""
-        if self._flow is not None:
-            aligned = {k: self._aligned(centre, k) for k in intervals}
-            return self._flow.flows_to(self._window[centre].grey, aligned)
-        self._order_flows(centre, intervals)
-        # Those of the next frame for which all is there are computed while outlines are drawn.
-        following = centre + 1
-        if self._window.is_use(following):
-            near = [k for k in self._intervals() if self._window.is_use(following + k)]
-            self._order_flows(following, near)
-        flows = {k: self._ordered[centre, k].result() for k in intervals}
-        self._ordered = {pair: flow for pair, flow in self._ordered.items() if pair[0] > centre}
-        return flows
+    def _measure_ahead(self, centre: int) -> None:
+        """Have motion measured in the next frame that is due, while outlines are drawn."""
+        every = self._parameters.flow.every
+        due = (centre // every + 1) * every
+        if due < self._window.count and due not in self._ordered:
+            self._order(due)
 
-    def _order_flows(self, centre: int, intervals: Sequence[int]) -> None:
-        for k in intervals:
-            if (centre, k) not in self._ordered:
-                self._ordered[centre, k] = self._executor.submit(
-                    dis_flow,
-                    self._window[centre].grey,
-                    self._aligned(centre, k),
-                    self._parameters.flow.variational_iterations,
-                )
-
-    def _aligned(self, centre: int, interval: int) -> ByteImage:
-        """Give the grey image of a frame's neighbour as the frame itself would show it."""
-        neighbour = centre + interval
-        return align(self._window[neighbour].grey, self._window.transform(centre, neighbour))
-
-    def _what_moves(self, motions: Sequence[MotionEstimate]) -> _Moving:
-        """Grow regions over a short time, and over a long one where what is slower moves."""
+    def _order(self, centre: int) -> None:
+        """Have what moves in a frame found in another thread."""
         assert self._resolution is not None
-        short = motions[0]
-        regions = self._regions(short, np.zeros(short.motion_map.shape, bool))
-        moving = _Moving(short, regions, moving_areas(regions, short, self._resolution.detail))
-        for motion in motions[1:]:
-            taken = _dilated(
-                union([convex_hull(region.mask) for region in regions], short.motion_map.shape),
-                SMEAR,
-            )
-            regions = self._regions(motion, taken | ~agree(short, motion))
-            slow = union([region.mask for region in regions], taken.shape)
-            moving = _Moving(
-                merged(moving.motion, motion, slow),
-                [*moving.regions, *regions],
-                [*moving.areas, *moving_areas(regions, motion, self._resolution.detail)],
-            )
-        return moving
-
-    def _regions(self, motion: MotionEstimate, taken: Mask) -> list[Region]:
-        seed, growing = self._parameters.seed, self._parameters.growing
-        strength = region_growing.seed_strength(motion, seed.size, seed.delta1, seed.delta2)
-        similarity = {
-            "velocity": region_growing.similar_velocity,
-            "magnitude": region_growing.similar_magnitude,
-        }[growing.similarity]
-        return region_growing.grow_regions(
-            motion, strength, seed.size, growing.delta, similarity, _SMALLEST_REGION, taken
+        self._ordered[centre] = self._finder.submit(
+            self._find_moving,
+            self._window.neighbourhood(centre, self._intervals()),
+            2 * self._interval,
+            self._parameters,
+            self._resolution.detail,
         )
+
+    def _find_moving(
+        self, surroundings: Neighbourhood, near: int, parameters: Parameters, size: tuple[int, int]
+    ) -> Moving | None:
+        if len(surroundings.neighbours) < 2:
+            return None
+        flows = self._flows(surroundings, parameters.flow.variational_iterations)
+        motions = measured_motions(surroundings, flows, near, parameters)
+        return what_moves(motions, parameters, size)
+
+    def _flows(self, surroundings: Neighbourhood, iterations: int) -> dict[int, Flow]:
+        """Give the flows of a frame to its neighbours, which are aligned to it."""
+        aligned = surroundings.aligned()
+        if self._flow is not None:
+            return self._flow.flows_to(surroundings.grey, aligned)
+        flows = self._executor.map(
+            lambda neighbour: dis_flow(surroundings.grey, neighbour, iterations), aligned.values()
+        )
+        return dict(zip(aligned, flows, strict=True))
 
     def _outlines(
         self,
         centre: int,
-        moving: _Moving,
+        moving: Moving,
         ego_motion: Matrix,
         tilt: float,
         stamp: int,
@@ -360,7 +314,7 @@ class MotionSegmenter:
         expected = self._identities.expected_masks(ego_motion, self._detail_shape)
         return [
             MovingArea(
-                mask=_dilated(mask, _GUARD + 1),
+                mask=dilated(mask, _GUARD + 1),
                 core=np.zeros_like(mask),
                 heart=np.zeros_like(mask),
                 velocity=(0.0, 0.0),
@@ -391,8 +345,8 @@ class MotionSegmenter:
                 continue
             core = Outline.of(area.core)
             vx, vy = area.velocity
-            step = np.array([[1.0, 0.0, vx * frames], [0.0, 1.0, vy * frames], [0.0, 0.0, 1.0]])
-            moved = resampled(core, to_image @ step, self._detail_shape, cv2.INTER_NEAREST)
+            way = to_image @ translation(vx * frames, vy * frames)
+            moved = resampled(core, way, self._detail_shape, cv2.INTER_NEAREST)
             objects[moved.box.slices] |= moved.mask
         return objects
 
@@ -409,28 +363,11 @@ def _identity_keeper(parameters: Parameters) -> IdentityKeeper:
     )
 
 
-def _interval_sets(widest: int) -> list[tuple[int, ...]]:
-    """Give the symmetric sets K of eq. 1 that the authors' code uses, up to the widest interval.
-
-    They are ±2, ±3, ±4, ±1 with ±2, and ±2 with ±3; for B = 1 only ±1 is left.
-    """
-    single: list[tuple[int, ...]] = [(k, -k) for k in range(2, widest + 1)]
-    double: list[tuple[int, ...]] = [(k, -k, k + 1, -k - 1) for k in (1, 2) if k < widest]
-    return (single + double) or [(1, -1)]
-
-
-def _dilated(mask: Mask, radius: int) -> Mask:
-    size = 2 * radius + 1
-    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
-    dilated: Mask = cv2.dilate(mask.astype(np.uint8), kernel) > 0
-    return dilated
-
-
 def _widened(candidates: Sequence[Candidate], shape: tuple[int, int], radius: int) -> Mask:
     objects = np.zeros(shape, bool)
     for candidate in candidates:
         objects[candidate.box.slices] |= candidate.mask
-    return _dilated(objects, radius)
+    return dilated(objects, radius)
 
 
 def _candidate(

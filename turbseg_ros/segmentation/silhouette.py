@@ -19,7 +19,7 @@ from turbseg_ros.segmentation.background import (
     largest,
     smallest,
 )
-from turbseg_ros.segmentation.geometry import scaling
+from turbseg_ros.segmentation.geometry import scaling, translation
 from turbseg_ros.segmentation.motion import MotionEstimate
 from turbseg_ros.segmentation.region_growing import Region, Seed
 
@@ -77,13 +77,14 @@ class MovingArea:
 class ObjectWindow:
     """A part of a frame in which something moves, and all that is known of it there.
 
-    `image` is hxwxC; `motion` is hxw, the motion map M in units of its noise; `tilt` is the rms
-    turbulent motion an axis in pixels; `stamp` is the frame's, in nanoseconds.
+    `image` is hxwxC; `views` show the scene at other times; `motion` is hxw, the motion map M in
+    units of its noise; `tilt` is the rms turbulent motion an axis in pixels; `stamp` is the
+    frame's, in nanoseconds.
     """
 
     box: Box
     image: Image
-    background: Background
+    views: Sequence[View]
     area: MovingArea
     motion: Map
     tilt: float
@@ -102,6 +103,12 @@ class Outline:
         """Take a mask that holds something, whose first pixel is (x0, y0) of the frame."""
         box = Box.around(mask)
         return cls(box.moved(x0, y0), mask[box.slices])
+
+    def in_frame(self, shape: tuple[int, int]) -> Mask:
+        """Give the mask in a frame of some shape, HxW."""
+        frame = np.zeros(shape, bool)
+        frame[self.box.slices] = self.mask
+        return frame
 
 
 def moving_areas(
@@ -161,7 +168,7 @@ def object_windows(
             ObjectWindow(
                 box=box,
                 image=image[cut],
-                background=background_in(box, views),
+                views=views,
                 area=MovingArea(inside[cut], core[cut], heart[cut], (0.0, 0.0)),
                 motion=_cropped(strength, box, shape),
                 tilt=tilt,
@@ -178,7 +185,7 @@ def silhouettes(windows: Sequence[ObjectWindow], threshold: float) -> list[Outli
     """
     found = []
     for window in windows:
-        background, image = window.background, window.image
+        background, image = background_in(window.box, window.views), window.image
         mask = standing_out(background, image, window.area, window.tilt, threshold)
         parts = [without_shadow(part, image, background) for part in separated(mask)]
         found += [Outline.of(part, window.box.x0, window.box.y0) for part in parts if part.any()]
@@ -412,12 +419,28 @@ def _cropped(values: Map, box: Box, shape: tuple[int, int]) -> Map:
 def enlarged(mask: Mask, size: tuple[int, int]) -> Mask:
     """Give a mask at another size (width, height)."""
     x, y = size[0] / mask.shape[1], size[1] / mask.shape[0]
-    enlarged = np.zeros(size[::-1], bool)
-    if mask.any():
-        outline = Outline.of(mask)
-        part = resampled(outline, scaling(x, y), enlarged.shape, cv2.INTER_LINEAR)
-        enlarged[part.box.slices] = part.mask
-    return enlarged
+    return moved(mask, scaling(x, y), size[::-1], cv2.INTER_LINEAR)
+
+
+def moved(
+    mask: Mask,
+    transform: Matrix,
+    shape: tuple[int, int] | None = None,
+    interpolation: int = cv2.INTER_NEAREST,
+) -> Mask:
+    """Give a mask where a transform takes it, in a frame of some shape, its own if None."""
+    shape = shape or (mask.shape[0], mask.shape[1])
+    if not mask.any():
+        return np.zeros(shape, bool)
+    return resampled(Outline.of(mask), transform, shape, interpolation).in_frame(shape)
+
+
+def dilated(mask: Mask, radius: int) -> Mask:
+    """Widen a mask by some pixels all round."""
+    size = 2 * radius + 1
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+    widened: Mask = cv2.dilate(mask.astype(np.uint8), kernel) > 0
+    return widened
 
 
 def resampled(
@@ -441,11 +464,9 @@ def resampled(
     height, width = there.shape
     if not (height and width):
         return Outline(there, np.zeros(there.shape, bool))
-    from_here = np.array([[1.0, 0.0, here.x0], [0.0, 1.0, here.y0], [0.0, 0.0, 1.0]])
-    to_there = np.array([[1.0, 0.0, -there.x0], [0.0, 1.0, -there.y0], [0.0, 0.0, 1.0]])
     mask = cv2.warpAffine(
         outline.mask.astype(np.uint8) * np.uint8(255),
-        (to_there @ transform @ from_here)[:2],
+        (translation(-there.x0, -there.y0) @ transform @ translation(here.x0, here.y0))[:2],
         (width, height),
         flags=interpolation,
     )

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from turbseg_ros.segmentation.geometry import pixel_grid
+from turbseg_ros.segmentation.geometry import pixel_grid, translation
 
 Matrix = npt.NDArray[np.float64]
 GreyImage = npt.NDArray[np.uint8]
@@ -49,7 +49,7 @@ def phase_correlation(source: GreyImage, target: GreyImage) -> tuple[Matrix, flo
     (dx, dy), peak = cv2.phaseCorrelate(
         source.astype(np.float32), target.astype(np.float32), window
     )
-    return np.array([[1.0, 0.0, dx], [0.0, 1.0, dy], [0.0, 0.0, 1.0]]), peak
+    return translation(dx, dy), peak
 
 
 @functools.lru_cache(maxsize=4)

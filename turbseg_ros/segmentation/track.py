@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from turbseg_ros.segmentation.background import Box
+from turbseg_ros.segmentation.geometry import translation
 from turbseg_ros.segmentation.silhouette import Outline, resampled
 
 Mask = npt.NDArray[np.bool_]
@@ -167,12 +168,9 @@ class Track:
         """
         # The position has been carried along since the mask was last seen.
         x, y = self.position - self.candidate.centroid + np.asarray(self.velocity)
-        way = np.array([[1.0, 0.0, x], [0.0, 1.0, y], [0.0, 0.0, 1.0]])
         seen = Outline(self.candidate.box, self.candidate.mask)
-        moved = resampled(seen, ego_motion @ way, shape, cv2.INTER_NEAREST)
-        expected = np.zeros(shape, bool)
-        expected[moved.box.slices] = moved.mask
-        return expected
+        way = ego_motion @ translation(x, y)
+        return resampled(seen, way, shape, cv2.INTER_NEAREST).in_frame(shape)
 
     def observed(self) -> Observation:
         """Remember where it is now, and give what is known of it in this frame."""

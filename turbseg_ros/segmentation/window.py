@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from turbseg_ros.segmentation.background import without_objects
+from turbseg_ros.segmentation.background import Scene, without_objects
 from turbseg_ros.segmentation.geometry import scaling
-from turbseg_ros.segmentation.stabilization import register_affine
+from turbseg_ros.segmentation.stabilization import align, register_affine
 
 Mask = npt.NDArray[np.bool_]
 Matrix = npt.NDArray[np.float64]
@@ -81,7 +81,7 @@ class PreparedFrame:
     `grey` is at processing resolution, `detail` HxWxC at detail resolution, both uint8;
     `from_previous` takes the pixels (of `grey`) of the frame before in the window to this one's;
     `continues` tells whether the two have anything in common;
-    `scene` is, once the frame's objects are known, `detail` without them (`View.scene`).
+    `scene` is, once the frame's objects are known, `detail` without them.
     """
 
     index: int
@@ -89,7 +89,7 @@ class PreparedFrame:
     detail: ByteImage
     from_previous: Matrix
     continues: bool = True
-    scene: ByteImage | None = None
+    scene: Scene | None = None
 
 
 def prepare(
@@ -110,6 +110,23 @@ def prepare(
         from_previous=np.eye(3) if motion is None else motion,
         continues=motion is not None,
     )
+
+
+@dataclass(frozen=True)
+class Neighbourhood:
+    """A frame and what it is compared with, at processing resolution.
+
+    `neighbours` holds, by interval, the grey images of others as they came; `transforms` take the
+    frame's pixels to theirs.
+    """
+
+    grey: ByteImage
+    neighbours: Mapping[int, ByteImage]
+    transforms: Mapping[int, Matrix]
+
+    def aligned(self) -> dict[int, ByteImage]:
+        """Give the neighbours as the frame itself would show them."""
+        return {k: align(grey, self.transforms[k]) for k, grey in self.neighbours.items()}
 
 
 class FrameWindow:
@@ -177,7 +194,7 @@ class FrameWindow:
             frame = self._frames[index]
             scene = without_objects(frame.detail, objects)
             # The picture is in there: no other copy is kept.
-            self._frames[index] = replace(frame, scene=scene, detail=scene[..., :-1])
+            self._frames[index] = replace(frame, scene=scene, detail=scene.image[..., :-1])
 
     def shows_scene(self, index: int) -> bool:
         """Tell whether a frame has anything in common with the one before or after it.
@@ -190,6 +207,18 @@ class FrameWindow:
     def is_use(self, index: int) -> bool:
         """Tell whether a frame is at hand and shows the scene."""
         return index in self._frames and self.shows_scene(index)
+
+    def neighbourhood(self, centre: int, wanted: Sequence[int]) -> Neighbourhood:
+        """Give a frame with its neighbours at those of the wanted intervals that exist.
+
+        See `neighbours` for what stands in for the others.
+        """
+        intervals = self.neighbours(centre, wanted)
+        return Neighbourhood(
+            self._frames[centre].grey,
+            {k: self._frames[centre + k].grey for k in intervals},
+            {k: self.transform(centre, centre + k) for k in intervals},
+        )
 
     def neighbours(self, centre: int, wanted: Sequence[int]) -> list[int]:
         """Give the intervals to compare a frame over: the wanted ones that exist.
