@@ -8,13 +8,14 @@ from drawn_scene import DrawnScene, jaccard
 
 from turbseg_ros.factory import clip_segmenter, motion_segmenter
 from turbseg_ros.parameters import ParameterError, Parameters
-from turbseg_ros.segmentation.frame import Frame, SegmentationResult
+from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResult
 
 torch = pytest.importorskip("torch", reason="torch is not installed: make test does that")
 
 from turbseg_ros.learning.optimise import (  # noqa: E402
     Clip,
-    consistency_loss,
+    consistent_target,
+    redrawn,
     refined_masks,
     regrouped,
     warp,
@@ -52,22 +53,56 @@ def test_a_mask_is_warped_to_where_the_object_is_in_the_other_frame(g: int) -> N
     np.testing.assert_allclose(warped[0, 0].numpy()[inside], 1.0, atol=1e-4)
 
 
-def test_the_loss_is_least_for_masks_that_agree_with_coarse_ones_and_neighbours() -> None:
-    masks = torch.from_numpy(squares(6))
-    flows = true_flows(masks.numpy())
-    agreeing = (masks * 2 - 1) * 8.0
-    elsewhere = agreeing.roll(20, dims=-1)
-    losses = [
-        consistency_loss(logits, masks, flows, range(6))
-        for logits in (agreeing, elsewhere, torch.zeros_like(agreeing))
-    ]
-    assert losses[0] < min(losses[1:])
-    # A mask that flickers disagrees with its neighbours.
-    flickering = agreeing.clone()
-    flickering[3] = -8.0
-    at_rest = dict.fromkeys(flows, torch.zeros_like(flows[1]))
-    assert consistency_loss(flickering, masks, flows, range(6)) > losses[0]
-    assert consistency_loss(agreeing, masks, at_rest, range(6)) > losses[0]
+def test_the_one_target_stands_for_the_sum_of_all_losses() -> None:
+    generator = torch.Generator().manual_seed(1)
+    coarse, masks, alpha = (torch.rand(5, 1, 16, 24, generator=generator) for _ in range(3))
+    flows = {g: 3.0 * torch.randn(5, 16, 24, 2, generator=generator) for g in NEIGHBOURS}
+    t, gamma = 2, 0.1
+    entropy = torch.nn.functional.binary_cross_entropy
+    losses = entropy(alpha[[t]], coarse[[t]])
+    for g in NEIGHBOURS:
+        for source in (coarse, masks):
+            seen = warp(source[[t - g]], flows[g][[t - g]])
+            losses = losses + gamma * entropy(alpha[[t]], seen)
+    target = consistent_target(coarse, masks, flows)[[t]]
+    weights = 1.0 + 2.0 * len(NEIGHBOURS) * gamma
+    torch.testing.assert_close(weights * entropy(alpha[[t]], target), losses)
+
+
+def test_a_mask_that_flickers_is_drawn_towards_its_neighbours() -> None:
+    masks = squares(6)
+    flows = true_flows(masks)
+    steady = torch.from_numpy(masks)
+    inside = masks[3, 0] > 0
+    assert consistent_target(steady, steady, flows)[3, 0].numpy()[inside].min() > 0.99
+    flickering = steady.clone()
+    flickering[3] = 0.0
+    drawn = consistent_target(flickering, steady, flows)[3, 0].numpy()
+    assert 0.2 < drawn[inside].min() < 0.6
+    assert drawn[~inside].mean() < 0.05
+
+
+def test_what_moves_goes_to_the_nearest_object_and_what_touches_none_is_left_out() -> None:
+    labels = np.zeros((40, 80), np.uint16)
+    labels[10:20, 10:20], labels[10:20, 40:50] = 7, 9
+    objects = tuple(
+        MovingObject(k, 0, (0.0, 0.0), (1.0, 0.0), 1, (0, 0, 1, 1), ((3.0, 4.0),)) for k in (7, 9)
+    )
+    frame = Frame(1, np.zeros((40, 80), np.uint8))
+    result = SegmentationResult(frame, labels, objects, np.zeros((20, 40), np.float32), 0.1, "")
+    probability = np.zeros((40, 80), np.float32)
+    probability[8:22, 8:52] = 0.9
+    probability[30:34, 60:70] = 0.9
+    drawn = redrawn(result, probability)
+    assert set(np.unique(drawn.labels)) == {0, 7, 9}
+    np.testing.assert_array_equal(
+        drawn.labels > 0, np.where(np.arange(40) < 22, 1, 0)[:, None] * (probability > 0.5) > 0
+    )
+    assert (drawn.labels[8:22, 8:29] == 7).all()
+    assert (drawn.labels[8:22, 31:52] == 9).all()
+    assert [found.trail for found in drawn.objects] == [((3.0, 4.0),)] * 2
+    gone = redrawn(result, np.where(np.arange(80) < 30, probability, 0.0).astype(np.float32))
+    assert [found.id for found in gone.objects] == [7]
 
 
 def test_grouping_closes_gaps_and_drops_what_flickers() -> None:
@@ -102,7 +137,7 @@ def test_fitting_smooths_coarse_masks_and_is_repeatable() -> None:
 
 def segmented(mode: str) -> list[SegmentationResult]:
     parameters = Parameters.from_mapping(
-        {**COARSE, "refine.mode": mode, "refine.epochs": 6, "refine.grouping": False}
+        {**COARSE, "refine.mode": mode, "refine.epochs": 12, "refine.grouping": False}
     )
     segmenter = clip_segmenter(parameters)
     frames = [Frame(number, image) for number, image in enumerate(SCENE_IMAGES)]
