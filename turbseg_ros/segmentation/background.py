@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from turbseg_ros.segmentation.exposure import AS_IT_IS, Exposure
 from turbseg_ros.segmentation.geometry import lengths, scaling, translation
 
 Map = npt.NDArray[np.float32]
@@ -104,10 +105,15 @@ class Scene:
 
 @dataclass(frozen=True)
 class View:
-    """Another frame of the same scene; `to_image` takes the reference's pixels to its own."""
+    """Another frame of the same scene.
+
+    `to_image` takes the reference frame's pixels to its own, `exposure` its grey values to the
+    reference's.
+    """
 
     scene: Scene
     to_image: Matrix
+    exposure: Exposure = AS_IT_IS
 
 
 def without_objects(image: Image, objects: Mask) -> Scene:
@@ -255,4 +261,4 @@ def _sampled(view: View, box: Box, shape: tuple[int, int]) -> Image:
         borderMode=cv2.BORDER_CONSTANT,
         borderValue=(_HIDDEN,) * scene.image.shape[2],
     )
-    return sampled
+    return view.exposure.applied_to(sampled, channels=sampled.shape[2] - 1)

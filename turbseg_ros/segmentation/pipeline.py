@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from turbseg_ros.parameters import Parameters
 from turbseg_ros.segmentation.background import View, without_objects
+from turbseg_ros.segmentation.exposure import exposure_between
 from turbseg_ros.segmentation.flow import Flow, FlowBackend, dis_flow
 from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResult, label_of
 from turbseg_ros.segmentation.geometry import scaling, translation
@@ -329,12 +330,14 @@ class MotionSegmenter:
         views = []
         for index in self._window.key_frames(centre):
             key = self._window[index]
-            to_image = self._resolution.to_detail(self._window.transform(centre, index))
+            transform = self._window.transform(centre, index)
+            exposure = exposure_between(key.grey, self._window[centre].grey, transform)
+            to_image = self._resolution.to_detail(transform)
             scene = key.scene
             if scene is None:
                 objects = self._headed(areas, index - centre, to_image)
                 scene = without_objects(key.detail, objects)
-            views.append(View(scene, to_image))
+            views.append(View(scene, to_image, exposure))
         return views
 
     def _headed(self, areas: Sequence[MovingArea], frames: int, to_image: Matrix) -> Mask:

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from turbseg_ros.segmentation.exposure import exposure_between
 from turbseg_ros.segmentation.geometry import pixel_grid, translation
 
 Matrix = npt.NDArray[np.float64]
@@ -69,7 +70,10 @@ def register_affine(source: GreyImage, target: GreyImage) -> Matrix | None:
     size = (source.shape[1] // 2, source.shape[0] // 2)
     halves = [cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in (source, target)]
     coarse, peak = phase_correlation(*halves)
-    affine = _affine_of_corners(source, target, _corners(halves[0]), 2.0 * coarse[:2, 2])
+    shift = 2.0 * coarse[:2, 2]
+    # Lucas-Kanade takes a change of exposure for motion.
+    source = exposure_between(source, target, translation(*-shift)).applied_to(source, channels=1)
+    affine = _affine_of_corners(source, target, _corners(halves[0]), shift)
     if affine is None or np.abs(affine[:, :2] - np.eye(2)).max() > _LARGEST_CHANGE_OF_SHAPE:
         found, _ = phase_correlation(source, target)
     else:

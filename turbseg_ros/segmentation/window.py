@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from turbseg_ros.segmentation.background import Scene, without_objects
+from turbseg_ros.segmentation.exposure import exposure_between
 from turbseg_ros.segmentation.geometry import scaling
 from turbseg_ros.segmentation.stabilization import align, register_affine
 
@@ -125,8 +126,12 @@ class Neighbourhood:
     transforms: Mapping[int, Matrix]
 
     def aligned(self) -> dict[int, ByteImage]:
-        """Give the neighbours as the frame itself would show them."""
-        return {k: align(grey, self.transforms[k]) for k, grey in self.neighbours.items()}
+        """Give the neighbours as the frame itself would show them, exposed as it is."""
+        return {k: self._aligned(grey, self.transforms[k]) for k, grey in self.neighbours.items()}
+
+    def _aligned(self, neighbour: ByteImage, transform: Matrix) -> ByteImage:
+        exposure = exposure_between(neighbour, self.grey, transform)
+        return exposure.applied_to(align(neighbour, transform), channels=1)
 
 
 class FrameWindow:

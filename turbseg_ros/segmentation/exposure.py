@@ -1,0 +1,120 @@
+"""Exposure of frames against one another: automatic gain, flicker, a cloud before the sun."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from turbseg_ros.segmentation.geometry import scaling
+
+Matrix = npt.NDArray[np.float64]
+ByteImage = npt.NDArray[np.uint8]
+Samples = npt.NDArray[np.float32]
+
+# Every so many pixels each way one is compared.
+_STEP = 8
+# Grey values out of this range may have been cut off.
+_DARKEST, _BRIGHTEST = 4, 251
+_FEWEST_SAMPLES = 50
+_REFITS = 2
+# Pixels further off than so many median deviations show something else.
+_OUTLIERS = 4.0
+# Grey values that exposures may differ by and still count as one.
+_LEAST_CHANGE = 2.0
+# No change from one frame to another goes further; it is another scene.
+_LARGEST_GAIN = 3.0
+
+
+@dataclass(frozen=True)
+class Exposure:
+    """What takes the grey values of one frame to those of another: gain · value + offset."""
+
+    gain: float = 1.0
+    offset: float = 0.0
+
+    def applied_to(self, image: ByteImage, channels: int) -> ByteImage:
+        """Give an image, HxW or HxWxC, with the first so many channels as the other frame's."""
+        if self == AS_IT_IS:
+            return image
+        table = np.repeat(np.arange(256, dtype=np.float32)[:, None], _channels(image), axis=1)
+        table[:, :channels] = table[:, :channels] * self.gain + self.offset
+        rounded = np.clip(np.rint(table), 0, 255).astype(np.uint8)
+        exposed: ByteImage = cv2.LUT(image, rounded[:, None, :])
+        return exposed.reshape(image.shape)
+
+
+AS_IT_IS = Exposure()
+"""What takes grey values to themselves."""
+
+
+def exposure_between(source: ByteImage, target: ByteImage, to_source: Matrix) -> Exposure:
+    """Estimate what takes the grey values of `source` to those of `target`.
+
+    Pixels are compared that show the same point of the scene; objects, which are few pixels,
+    don't count.
+
+    :param source: HxW grey image.
+    :param target: HxW grey image of the same size.
+    :param to_source: takes the target's pixels to the source's.
+    """
+    grid = scaling(_STEP, _STEP)
+    x, y = _sampled(source, to_source @ grid), _sampled(target, grid)
+    usable = (np.minimum(x, y) > _DARKEST) & (np.maximum(x, y) < _BRIGHTEST)
+    x, y = x[usable], y[usable]
+    if len(x) < _FEWEST_SAMPLES:
+        return AS_IT_IS
+    found = _median_line(x, y)
+    # Most frames are exposed alike, which a glance tells.
+    for _ in range(_REFITS):
+        if _median(np.abs(x * (found.gain - 1.0) + found.offset)) < _LEAST_CHANGE:
+            return AS_IT_IS
+        found = _refitted(found, x, y)
+    return found if 1 / _LARGEST_GAIN < found.gain < _LARGEST_GAIN else AS_IT_IS
+
+
+def _median_line(x: Samples, y: Samples) -> Exposure:
+    """Give the line through the medians of the darker and of the brighter half.
+
+    Brown and Mood (1951). Both frames being equally noisy, halves are told by the sum.
+    """
+    both = x + y
+    bright = both > _median(both)
+    if not bright.any():
+        return Exposure(1.0, _median(y - x))
+    x_dark, x_bright, y_dark, y_bright = (
+        _median(half) for half in (x[~bright], x[bright], y[~bright], y[bright])
+    )
+    gain = (y_bright - y_dark) / max(x_bright - x_dark, 1.0)
+    return Exposure(gain, _median(y - gain * x))
+
+
+def _refitted(found: Exposure, x: Samples, y: Samples) -> Exposure:
+    """Fit mean and deviation of what fits already.
+
+    A regression would underestimate the gain, for the source is noisy, too.
+    """
+    error = np.abs(x * found.gain + found.offset - y)
+    kept = error <= _OUTLIERS * max(_median(error), 1.0)
+    x, y = x[kept], y[kept]
+    gain = float(y.std() / max(x.std(), 1.0))
+    return Exposure(gain, float(y.mean() - gain * x.mean()))
+
+
+def _median(values: Samples) -> float:
+    """Give the upper median; NumPy's own takes four times as long for so few values."""
+    middle = len(values) // 2
+    return float(np.partition(values, middle)[middle])
+
+
+def _sampled(image: ByteImage, to_image: Matrix) -> Samples:
+    """Give the grey values of a coarse grid; 0 beyond the image."""
+    size = (image.shape[1] // _STEP, image.shape[0] // _STEP)
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    return cv2.warpAffine(image, to_image[:2], size, flags=flags).astype(np.float32)
+
+
+def _channels(image: ByteImage) -> int:
+    return image.shape[2] if image.ndim == 3 else 1
