@@ -19,6 +19,7 @@ from turbseg_ros.segmentation.background import (
     difference_from,
     without_objects,
 )
+from turbseg_ros.segmentation.exposure import Exposure
 
 SHAPE = (60, 90)
 GROUND = texture(SHAPE, seed=8, grain=2.0)[..., None]
@@ -51,6 +52,25 @@ def test_a_box_is_the_smallest_around_a_mask() -> None:
 
 def test_a_box_grows_up_to_the_picture() -> None:
     assert Box(7, 4, 19, 12).grown(5, (15, 100)) == Box(2, 0, 24, 15)
+
+
+@pytest.mark.parametrize(("side", "most"), [(96, 0.1), (24, 2.0), (9, 4.0)])
+def test_a_background_seen_from_further_is_an_average_of_what_was_there(
+    side: int, most: float
+) -> None:
+    ground = cv2.GaussianBlur(np.random.default_rng(0).normal(120, 60, (96, 96)), (0, 0), 3.0)
+    views = [view(ground[..., None].astype(np.uint8), np.zeros((96, 96), bool))] * 5
+    far = background_in(Box(0, 0, 96, 96), views, (side, side))
+    expected = cv2.resize(ground, (side, side), interpolation=cv2.INTER_AREA)
+    assert far.median.shape == (side, side, 1)
+    assert far.known.all()
+    assert np.abs(far.median[..., 0] - np.floor(expected)).mean() < most
+
+
+def test_views_of_another_exposure_are_brought_to_that_of_the_frame() -> None:
+    dark = View(without_objects(GROUND // 2, NOTHING), np.eye(3), Exposure(2.0, 1.0))
+    median = background_in(WHOLE, [dark] * 5).median
+    assert np.abs(median - GROUND).max() <= 1
 
 
 @pytest.mark.parametrize("channels", [1, 3])

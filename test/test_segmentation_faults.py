@@ -180,3 +180,25 @@ def test_the_65536th_object_gets_label_1_again_and_its_own_id() -> None:
     assert labels == {65_535: {65_535}, 65_536: {1}}
     late = next(moving for result in results for moving in result.objects if moving.id == 65_536)
     assert late.label == 1
+
+
+# What the brightness of a frame is multiplied with, from its number.
+LIGHTS = {
+    "a step": lambda number: 1.3 if number >= FAULT else 1.0,
+    "flicker": lambda number: 0.8 if number % 2 else 1.0,
+    "dusk": lambda number: 1.0 - 0.015 * number,
+}
+
+
+@pytest.mark.parametrize("light", LIGHTS.values(), ids=LIGHTS)
+def test_a_change_of_exposure_hides_nothing_and_shows_nothing(
+    light: Callable[[int], float],
+) -> None:
+    def lit(scene: DrawnScene) -> list[ByteImage]:
+        images = scene.images(FRAMES)
+        return [np.clip(i * light(n), 0, 255).astype(np.uint8) for n, i in enumerate(images)]
+
+    found = scores(segmented(lit(SLOW)), SLOW)
+    usual = scores(segmented(list(SLOW.images(FRAMES))), SLOW)
+    assert np.mean(found) > np.mean(usual) - 0.05
+    assert not any(result.labels.any() for result in segmented(lit(STILL)))

@@ -147,8 +147,9 @@ def test_every_frame_gets_one_result_in_order(count: int, mode: str) -> None:
 def test_frames_wait_for_the_announced_look_ahead(mode: str) -> None:
     chosen = {"latency.mode": mode, "latency.warm_up": 0, "resolution.processing": 64}
     segmenter = MotionSegmenter(PARAMETERS.replace(chosen))
-    # Neighbours, those of the frame measured next, and the frames until an object is confirmed.
-    assert segmenter.look_ahead == {"centred": 4 + 2 + 3, "causal": 0}[mode]
+    # Neighbours, those of the frame measured next, and the frames until an object is
+    # confirmed, which it is where motion is measured.
+    assert segmenter.look_ahead == {"centred": 4 + 2 + 3 + 1, "causal": 0}[mode]
     given_out = 0
     for number, frame in enumerate(frames(CLIP[:20]), start=1):
         given_out += len(segmenter.push(frame))

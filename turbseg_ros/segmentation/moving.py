@@ -49,12 +49,14 @@ _SMALLEST_REGION = 12
 class Moving:
     """What moves in a frame: the motion measured, the regions grown, where objects may be.
 
-    Motion and regions are at processing resolution, areas at detail resolution.
+    Motion and regions are at processing resolution, areas at detail resolution; `measured` is
+    False where all that was carried along from an earlier frame.
     """
 
     motion: MotionEstimate
     regions: Sequence[Region]
     areas: Sequence[MovingArea]
+    measured: bool = True
 
 
 def measured_motions(
@@ -122,12 +124,14 @@ def carried(moving: Moving, ego_motion: Matrix, resolution: Resolution) -> Movin
         steps[mask] = region.seed.velocity
         regions.append(replace(region, mask=mask))
     height, width = motion.motion_map.shape
-    before = cv2.transform(pixel_grid((height, width)) - steps, np.linalg.inv(ego_motion)[:2])
+    before = cv2.transform(pixel_grid((height, width)), np.linalg.inv(ego_motion)[:2]) - steps
     velocity, motion_map = (
         cv2.remap(values, before, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         for values in (motion.velocity, motion.motion_map)
     )
-    return Moving(replace(motion, velocity=velocity, motion_map=motion_map), regions, areas)
+    return Moving(
+        replace(motion, velocity=velocity, motion_map=motion_map), regions, areas, measured=False
+    )
 
 
 def _carried_area(area: MovingArea, ego_motion: Matrix) -> MovingArea:

@@ -285,6 +285,7 @@ class MotionSegmenter:
         """Turn moving regions into outlines at detail resolution."""
         assert self._resolution is not None
         area = union([area.mask for area in moving.areas], self._detail_shape)
+        seen_to_move = area if moving.measured else np.zeros_like(area)
         if self._parameters.outline.method == "none":
             masks = [enlarged(region.mask, self._resolution.detail) for region in moving.regions]
             outlines = [Outline.of(mask) for mask in masks if mask.any()]
@@ -305,7 +306,7 @@ class MotionSegmenter:
                 else refined_silhouettes(windows, self._refiner.refine(windows))
             )
         return [
-            _candidate(outline, area, moving.motion, self._resolution)
+            _candidate(outline, seen_to_move, moving.motion, self._resolution)
             for outline in outlines
             if np.count_nonzero(outline.mask) >= _SMALLEST_OUTLINE
         ]
@@ -363,6 +364,7 @@ def _identity_keeper(parameters: Parameters) -> IdentityKeeper:
         travel=tracking.travel,
         patience=tracking.patience,
         slots=parameters.max_objects,
+        every=parameters.flow.every,
     )
 
 

@@ -64,14 +64,18 @@ class ObjectTracker:
     frames. Ids count up and are never used again.
     """
 
-    def __init__(self, confirmation: int, travel: float, patience: int, slots: int) -> None:
+    def __init__(
+        self, confirmation: int, travel: float, patience: int, slots: int, every: int = 1
+    ) -> None:
         """Set up a tracker without tracks.
 
         :param confirmation: frames in which a track must be seen to become an object.
         :param travel: distance in pixels that it must have come, plus twice the tilt.
         :param patience: frames that an object may be lost, or stand still, before it ends.
         :param slots: number of output slots.
+        :param every: every how many frames motion is measured; only then it may become an object.
         """
+        self._every = every
         self._confirmation = confirmation
         self._travel = travel
         self._patience = patience
@@ -83,7 +87,7 @@ class ObjectTracker:
     @property
     def delay(self) -> int:
         """Frames until a track that is seen in each of them is confirmed."""
-        return self._confirmation - 1
+        return self._confirmation - 1 + self._every - 1
 
     @property
     def next_id(self) -> int:
@@ -192,7 +196,7 @@ class ObjectTracker:
         }
 
     def _confirm(self, track: Track, tilt: float) -> None:
-        if track.confirmed or track.hits < self._confirmation:
+        if track.confirmed or track.hits < self._confirmation or not track.candidate.moving:
             return
         if not track.keeps_shape(max(self._confirmation - 1, 1), _LIKE):
             return
