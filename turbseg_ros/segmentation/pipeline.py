@@ -68,7 +68,7 @@ class MotionSegmenter:
 
     `push` takes frames in the order of time and gives the results that are ready; `flush` gives
     those of all frames that are left. Every frame gets exactly one result, in order. A frame of
-    another size or kind than the one before starts a new window; ids go on.
+    another size, kind or scene than those before starts a new window; ids go on.
     """
 
     def __init__(
@@ -153,12 +153,15 @@ class MotionSegmenter:
         if self._resolution is None:
             sizes = self._parameters.resolution
             self._resolution = Resolution.of(frame.image.shape, sizes.processing, sizes.detail)
-        index = self._window.count
         picture = self._tone(frame.image)
-        self._window.append(
-            prepare(picture, self._resolution, index, previous=self._window.newest)
-        )
-        self._frames[index] = frame
+        newest = self._window.newest
+        prepared = prepare(picture, self._resolution, self._window.count, newest)
+        if self._window.follows_cut(prepared):
+            results += self.flush()
+            self.reset()
+            return results + self.push(frame)
+        self._window.append(prepared)
+        self._frames[prepared.index] = frame
         return results + self._advance(ended=False)
 
     def flush(self) -> list[SegmentationResult]:

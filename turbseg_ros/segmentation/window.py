@@ -12,7 +12,7 @@ import numpy.typing as npt
 from turbseg_ros.segmentation.background import Scene, without_objects
 from turbseg_ros.segmentation.exposure import exposure_between
 from turbseg_ros.segmentation.geometry import scaling
-from turbseg_ros.segmentation.stabilization import align, register_affine
+from turbseg_ros.segmentation.stabilization import align, alike, register_affine
 
 Mask = npt.NDArray[np.bool_]
 Matrix = npt.NDArray[np.float64]
@@ -208,6 +208,17 @@ class FrameWindow:
         """
         after = self._frames.get(index + 1)
         return self._frames[index].continues or (after is not None and after.continues)
+
+    def follows_cut(self, prepared: PreparedFrame) -> bool:
+        """Tell whether a frame, not yet taken, goes on from a newest one that began a new scene.
+
+        After a covered lens or a torn frame the old scene is there again; after a cut it isn't.
+        """
+        newest = self.newest
+        if newest is None or newest.continues or not prepared.continues:
+            return False
+        before = [k for k in sorted(self._frames) if k < newest.index and self.shows_scene(k)]
+        return bool(before) and not alike(self._frames[before[-1]].grey, prepared.grey)
 
     def is_use(self, index: int) -> bool:
         """Tell whether a frame is at hand and shows the scene."""
