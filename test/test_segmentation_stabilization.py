@@ -82,6 +82,22 @@ def with_lorry(image: ByteImage, x: int) -> ByteImage:
     return painted
 
 
+def test_objects_before_a_faint_sky_take_no_part_in_the_ego_motion() -> None:
+    """Two objects at different heights, whose motions an affine transform could explain."""
+    sky = texture((240, 400), seed=8, low=196, high=204, grain=3.0)
+    pictures = []
+    for number in range(2):
+        picture = sky.astype(float)
+        for seed, top, left in ((1, 30, 100 + 3 * number), (2, 180, 260 - 4 * number)):
+            picture[top : top + 24, left : left + 48] = texture((24, 48), seed, low=0, high=255)
+        picture += np.random.default_rng(number).normal(0, 1.0, picture.shape)
+        pictures.append(np.clip(picture, 0, 255).astype(np.uint8))
+    found = register_affine(*pictures)
+    assert found is not None
+    corners = np.array([[[0.0, 0.0]], [[399.0, 0.0]], [[0.0, 239.0]], [[399.0, 239.0]]])
+    assert np.abs(cv2.perspectiveTransform(corners, found) - corners).max() < 1.5
+
+
 def test_a_big_moving_object_takes_no_part_in_the_ego_motion() -> None:
     motion = camera_motion(0.3, 1.0, 2.0, -1.0)
     source = with_lorry(GROUND, 60)

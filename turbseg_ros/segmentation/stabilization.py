@@ -19,7 +19,9 @@ Matrix = npt.NDArray[np.float64]
 GreyImage = npt.NDArray[np.uint8]
 Points = npt.NDArray[np.float32]
 
-_CORNERS = 400
+# Corners are taken from all over the picture, faint ones too: with strong ones alone, an affine
+# transform would follow the objects before a plain sky.
+_CORNERS, _LEAST_QUALITY, _CORNER_DISTANCE = 400, 2e-4, 8
 # The translation is a good guess: what is left fits into a small pyramid.
 _LK_WINDOW, _LK_LEVELS = (11, 11), 2
 _FEWEST_CORNERS = 12
@@ -91,7 +93,7 @@ def alike(source: GreyImage, target: GreyImage) -> bool:
 
 def _corners(half: GreyImage) -> Points:
     """Find corners in a picture of half the size; give them in pixels of the whole, Nx1x2."""
-    corners = cv2.goodFeaturesToTrack(half, _CORNERS, qualityLevel=0.01, minDistance=4)
+    corners = cv2.goodFeaturesToTrack(half, _CORNERS, _LEAST_QUALITY, _CORNER_DISTANCE)
     if corners is None:
         return np.zeros((0, 1, 2), np.float32)
     # The middles of both pictures' first pixels lie apart.
