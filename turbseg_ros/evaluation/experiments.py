@@ -24,6 +24,8 @@ VARIANTS: Mapping[str, Mapping[str, Value]] = {
     "interval 3": {"flow.interval": 3},
     "interval 4": {"flow.interval": 4},
     "interval 5": {"flow.interval": 5},
+    "motion in every frame": {"flow.every": 1},
+    "motion in every fourth frame": {"flow.every": 4},
     "mean flow (eq. 1)": {"flow.average": "mean"},
     "Sampson distance (eq. 2)": {"motion.measure": "sampson"},
     "no geometric check": {"motion.measure": "none"},
