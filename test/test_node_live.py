@@ -67,7 +67,17 @@ def test_every_image_is_answered_or_counted(
         diagnostics = probe.listen("/diagnostics", DiagnosticArray)
         sources = [Camera(probe, f"{name}/image_raw", rate=rate) for name in names]
         sent = SECONDS * rate
-        for _ in range(sent):
+        for source in sources:
+            source.send(next(images))
+        # What is lost before anything came can't be told from what was sent before.
+        probe.wait_for(
+            lambda: all(
+                latest(diagnostics, names).get(name, {}).get("images received") == "1"
+                for name in names
+            ),
+            "the first images",
+        )
+        for _ in range(sent - 1):
             for source in sources:
                 source.send(next(images))
         during = latest(diagnostics, names)
