@@ -30,7 +30,7 @@ def motion_segmenter(parameters: Parameters) -> MotionSegmenter:
             "parameter refine.mode is optimise, which needs the whole clip before it answers; "
             "set -p refine.mode:=pretrained, or segment a recorded bag with turbseg_replay"
         )
-    return MotionSegmenter(parameters, _refiner(parameters), _flow(parameters))
+    return MotionSegmenter(parameters, refiner(parameters), flow_backend(parameters))
 
 
 def clip_segmenter(
@@ -47,11 +47,12 @@ def clip_segmenter(
     require_torch("refine.mode optimise")
     from turbseg_ros.learning.optimise import ClipRefiner
 
-    segmenter = MotionSegmenter(parameters, flow=_flow(parameters))
+    segmenter = MotionSegmenter(parameters, flow=flow_backend(parameters))
     return ClipRefiner(segmenter, refine.epochs, refine.grouping, shown)
 
 
-def _refiner(parameters: Parameters) -> Refiner | None:
+def refiner(parameters: Parameters) -> Refiner | None:
+    """Give what draws the outlines of a live stream; None for the rules."""
     if parameters.refine.mode == "none":
         return None
     from turbseg_ros.learning.pretrained import PretrainedRefiner
@@ -59,7 +60,11 @@ def _refiner(parameters: Parameters) -> Refiner | None:
     return PretrainedRefiner()
 
 
-def _flow(parameters: Parameters) -> FlowBackend | None:
+def flow_backend(parameters: Parameters) -> FlowBackend | None:
+    """Give what computes optical flow; None for DIS.
+
+    :raises ParameterError: when the network, its weights or its device can't be had.
+    """
     chosen = parameters.flow.backend
     if chosen == "dis":
         return None

@@ -16,6 +16,7 @@ from turbseg_ros.bag.reader import BagReader
 from turbseg_ros.cli.errors import UsageError, executable
 from turbseg_ros.cli.options import add_parameter_options, parameters_from, with_progress
 from turbseg_ros.evaluation.replay import BagFrames, segment
+from turbseg_ros.factory import flow_backend, refiner
 from turbseg_ros.overlay import (
     WHITE,
     Canvas,
@@ -66,7 +67,8 @@ class WatchedSegmenter(MotionSegmenter):
 def main(arguments: Sequence[str] | None = None) -> int:
     """Draw the picture; give the exit status."""
     options = _parser().parse_args(arguments)
-    segmenter = WatchedSegmenter(parameters_from(options))
+    parameters = parameters_from(options)
+    segmenter = WatchedSegmenter(parameters, refiner(parameters), flow_backend(parameters))
     reader = BagReader(options.bag)
     frames = BagFrames(reader, reader.find_image_topic(options.image_topic))
     stamps = [frame.stamp for frame in frames]
