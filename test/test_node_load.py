@@ -57,12 +57,19 @@ def test_full_hd_at_30_hz_is_answered_frame_by_frame(tmp_path, probe, seconds):
         stamps = [camera.send(message) for _ in range(frames)]
         probe.wait_for(lambda: len(centroids) == frames, "all markers")
         cost = 1000.0 * (node.processor_seconds - before) / frames
+        wait_for_last_count(probe, diagnostics)
         shown = figures(diagnostics)
         assert node.stop(signal.SIGINT) == 0
     print(f"{cost:.1f} ms of processor time a frame; {latencies(diagnostics)}")
     assert [stamps_of(array.markers)[0] for array in centroids] == stamps
     assert shown["images dropped"] == shown["images lost by the middleware"] == "0"
     assert labels.count > 0
+
+
+def wait_for_last_count(probe: Probe, diagnostics: list[DiagnosticArray]) -> None:
+    """Wait for diagnostics that were begun after now."""
+    seen = len(diagnostics)
+    probe.wait_for(lambda: len(diagnostics) > seen + 1, "the last count")
 
 
 def latencies(diagnostics: list[DiagnosticArray]) -> dict[str, str]:
@@ -93,8 +100,7 @@ def test_too_many_images_cost_the_oldest_and_no_memory(tmp_path, probe, seconds)
         probe.wait_for(
             lambda: labels and stamps_of(labels[-1:]) == stamps[-1:], "the newest to be answered"
         )
-        seen = len(diagnostics)
-        probe.wait_for(lambda: len(diagnostics) > seen + 1, "the last count")
+        wait_for_last_count(probe, diagnostics)
         counts = {
             key: int(value) for key, value in figures(diagnostics).items() if "images" in key
         }
