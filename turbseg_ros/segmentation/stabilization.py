@@ -86,11 +86,6 @@ def register_affine(source: GreyImage, target: GreyImage) -> Matrix | None:
     return found
 
 
-def alike(source: GreyImage, target: GreyImage) -> bool:
-    """Tell whether two pictures have anything in common."""
-    return register_affine(source, target) is not None
-
-
 def _corners(half: GreyImage) -> Points:
     """Find corners in a picture of half the size; give them in pixels of the whole, Nx1x2."""
     corners = cv2.goodFeaturesToTrack(half, _CORNERS, _LEAST_QUALITY, _CORNER_DISTANCE)

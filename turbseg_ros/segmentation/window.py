@@ -12,7 +12,7 @@ import numpy.typing as npt
 from turbseg_ros.segmentation.background import Scene, without_objects
 from turbseg_ros.segmentation.exposure import exposure_between
 from turbseg_ros.segmentation.geometry import scaling
-from turbseg_ros.segmentation.stabilization import align, alike, register_affine
+from turbseg_ros.segmentation.stabilization import align, register_affine
 
 Mask = npt.NDArray[np.bool_]
 Matrix = npt.NDArray[np.float64]
@@ -218,9 +218,11 @@ class FrameWindow:
         if newest is None or newest.continues or not prepared.continues:
             return False
         before = [k for k in sorted(self._frames) if k < newest.index and self.shows_scene(k)]
-        return bool(before) and not alike(self._frames[before[-1]].grey, prepared.grey)
+        return (
+            bool(before) and register_affine(self._frames[before[-1]].grey, prepared.grey) is None
+        )
 
-    def is_use(self, index: int) -> bool:
+    def _is_use(self, index: int) -> bool:
         """Tell whether a frame is at hand and shows the scene."""
         return index in self._frames and self.shows_scene(index)
 
@@ -243,16 +245,16 @@ class FrameWindow:
         on one side, others near are added, for then the frame's own tilt has to be told as well.
         """
         there = {
-            k if self.is_use(centre + k) else -k
+            k if self._is_use(centre + k) else -k
             for k in wanted
-            if self.is_use(centre + k) or self.is_use(centre - k)
+            if self._is_use(centre + k) or self._is_use(centre - k)
         }
         if there and (min(there) > 0 or max(there) < 0):
             nearest = min(there, key=abs)
             there |= {
                 k
                 for k in (round(nearest * share) for share in (0.25, 0.5, -0.5))
-                if k and self.is_use(centre + k)
+                if k and self._is_use(centre + k)
             }
         return sorted(there)
 
