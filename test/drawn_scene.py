@@ -9,6 +9,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from turbseg_ros.segmentation.background import Scene, scene_of, without_objects
+from turbseg_ros.segmentation.outline import Outline
+
 ByteImage = npt.NDArray[np.uint8]
 Mask = npt.NDArray[np.bool_]
 
@@ -20,6 +23,17 @@ def texture(
     noise = np.random.default_rng(seed).uniform(size=shape).astype(np.float32)
     smooth = cv2.GaussianBlur(noise, (0, 0), grain)
     return cv2.normalize(smooth, None, low, high, cv2.NORM_MINMAX).astype(np.uint8)
+
+
+def scene_behind(picture: ByteImage, objects: Mask) -> Scene:
+    """Give the scene that a picture shows where a mask of its size doesn't tell of objects."""
+    return without_objects(scene_of(picture), [Outline.of(objects)])
+
+
+def rectangle(x0: int, y0: int, x1: int, y1: int, shape: tuple[int, int] = (96, 160)) -> Mask:
+    mask = np.zeros(shape, bool)
+    mask[y0:y1, x0:x1] = True
+    return mask
 
 
 @dataclass(frozen=True)

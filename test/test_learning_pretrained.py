@@ -12,16 +12,17 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from drawn_scene import DrawnScene, jaccard, texture
+from drawn_scene import DrawnScene, jaccard, scene_behind, texture
 
 from turbseg_ros.factory import motion_segmenter
 from turbseg_ros.learning.errors import NetworkError
 from turbseg_ros.learning.pretrained import SHIPPED, PretrainedRefiner
 from turbseg_ros.learning.window_input import CHANNELS, SIDE, window_input
 from turbseg_ros.parameters import Parameters
-from turbseg_ros.segmentation.background import Box, View, without_objects
+from turbseg_ros.segmentation.background import View
 from turbseg_ros.segmentation.frame import Frame, SegmentationResult
-from turbseg_ros.segmentation.silhouette import MovingArea, ObjectWindow
+from turbseg_ros.segmentation.outline import Box
+from turbseg_ros.segmentation.silhouette import AreaMasks, ObjectWindow
 
 SCENE = DrawnScene()
 # What the views of the ground differ by, in grey values.
@@ -39,12 +40,12 @@ def window(shape: tuple[int, int], channels: int = 1, seed: int = 0) -> ObjectWi
     image[block] = 20
     views = [view_of((ground.astype(int) + offset).astype(np.uint8)) for offset in GRAIN]
     motion = cv2.GaussianBlur(block.astype(np.float32), (0, 0), 4.0) * 20.0
-    area = MovingArea(motion > 2.0, motion > 12.0, motion > 18.0, (3.0, 0.0))
+    area = AreaMasks(motion > 2.0, motion > 12.0, motion > 18.0)
     return ObjectWindow(Box(0, 0, width, height), image, views, area, motion, 0.1, 0)
 
 
 def view_of(ground: np.ndarray) -> View:
-    return View(without_objects(ground, np.zeros(ground.shape[:2], bool)), np.eye(3))
+    return View(scene_behind(ground, np.zeros(ground.shape[:2], bool)), np.eye(3))
 
 
 def block_of(shape: tuple[int, int]) -> np.ndarray:
@@ -79,7 +80,7 @@ def test_the_input_does_not_depend_on_exposure_or_gain() -> None:
 def test_nothing_is_told_of_a_background_that_is_unknown() -> None:
     known = window((60, 80))
     everywhere = np.ones((60, 80), bool)
-    hidden = [View(without_objects(known.image, everywhere), np.eye(3))] * len(known.views)
+    hidden = [View(scene_behind(known.image, everywhere), np.eye(3))] * len(known.views)
     maps = window_input(replace(known, views=hidden))
     assert np.isfinite(maps).all()
     for name in ("change", "deviation", "difference", "known"):

@@ -5,21 +5,20 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from drawn_scene import ByteImage, Mask, texture
+from drawn_scene import ByteImage, Mask, scene_behind, texture
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from turbseg_ros.segmentation.background import (
     Background,
-    Box,
     View,
     background_in,
     deviation_from,
     difference_from,
-    without_objects,
 )
 from turbseg_ros.segmentation.exposure import Exposure
+from turbseg_ros.segmentation.outline import Box
 
 SHAPE = (60, 90)
 GROUND = texture(SHAPE, seed=8, grain=2.0)[..., None]
@@ -30,7 +29,7 @@ NOTHING = np.zeros(SHAPE, bool)
 def view(image: ByteImage, objects: Mask = NOTHING, shift: tuple[int, int] = (0, 0)) -> View:
     to_image = np.eye(3)
     to_image[:2, 2] = shift
-    return View(without_objects(image, objects), to_image)
+    return View(scene_behind(image, objects), to_image)
 
 
 def noisy_views(count: int, sigma: float, ground: ByteImage = GROUND) -> list[View]:
@@ -68,7 +67,7 @@ def test_a_background_seen_from_further_is_an_average_of_what_was_there(
 
 
 def test_views_of_another_exposure_are_brought_to_that_of_the_frame() -> None:
-    dark = View(without_objects(GROUND // 2, NOTHING), np.eye(3), Exposure(2.0, 1.0))
+    dark = View(scene_behind(GROUND // 2, NOTHING), np.eye(3), Exposure(2.0, 1.0))
     median = background_in(WHOLE, [dark] * 5).median
     assert np.abs(median - GROUND).max() <= 1
 
@@ -108,7 +107,7 @@ def test_the_median_is_that_of_the_samples_without_objects(
 ) -> None:
     objects = data.draw(hnp.arrays(np.bool_, pictures.shape))
     views = [
-        View(without_objects(picture[..., None], hidden), np.eye(3))
+        View(scene_behind(picture[..., None], hidden), np.eye(3))
         for picture, hidden in zip(pictures, objects, strict=True)
     ]
     background = background_in(Box(0, 0, 4, 3), views)
@@ -162,7 +161,7 @@ def test_difference_is_that_of_the_channel_that_differs_most() -> None:
         Box(0, 0, 2, 1),
         [
             View(
-                without_objects(np.full((1, 2, 3), 100, np.uint8), np.zeros((1, 2), bool)),
+                scene_behind(np.full((1, 2, 3), 100, np.uint8), np.zeros((1, 2), bool)),
                 np.eye(3),
             )
         ]

@@ -9,11 +9,11 @@ import numpy as np
 from drawn_scene import DrawnScene, Mask, jaccard
 
 from turbseg_ros.parameters import Parameters
-from turbseg_ros.segmentation.background import Box
 from turbseg_ros.segmentation.frame import Frame, SegmentationResult
+from turbseg_ros.segmentation.outline import Box
 from turbseg_ros.segmentation.pipeline import MotionSegmenter
 from turbseg_ros.segmentation.refinement import refined_silhouettes
-from turbseg_ros.segmentation.silhouette import MovingArea, ObjectWindow
+from turbseg_ros.segmentation.silhouette import AreaMasks, ObjectWindow
 
 SCENE = DrawnScene()
 FRAMES = [Frame(number, image) for number, image in enumerate(SCENE.images(20))]
@@ -58,7 +58,7 @@ def test_the_outline_of_what_rests_stays_where_it_is_expected() -> None:
         box=Box(0, 0, 60, 40),
         image=np.zeros((*shape, 1), np.uint8),
         views=[],
-        area=MovingArea(expected, core=nothing, heart=nothing, velocity=(0.0, 0.0)),
+        area=AreaMasks(expected, core=nothing, heart=nothing),
         motion=np.zeros(shape, np.float32),
         tilt=0.5,
         stamp=0,

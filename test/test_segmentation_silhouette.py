@@ -7,21 +7,17 @@ import dataclasses
 import cv2
 import numpy as np
 import pytest
-from drawn_scene import Mask, jaccard, texture
+from drawn_scene import Mask, jaccard, rectangle, scene_behind, texture
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from turbseg_ros.segmentation.background import Box, View, background_in, without_objects
+from turbseg_ros.segmentation.areas import MovingArea
+from turbseg_ros.segmentation.background import View, background_in
 from turbseg_ros.segmentation.motion import MotionEstimate
-from turbseg_ros.segmentation.region_growing import Region, Seed
+from turbseg_ros.segmentation.outline import Box, Outline
 from turbseg_ros.segmentation.silhouette import (
-    MovingArea,
-    Outline,
-    convex_hull,
-    enlarged,
     guided_filter,
-    moving_areas,
     object_windows,
     separated,
     silhouettes,
@@ -41,12 +37,6 @@ STILL = MotionEstimate(
 TILT, THRESHOLD = 0.1, 2.5
 
 
-def rectangle(x0: int, y0: int, x1: int, y1: int, shape: tuple[int, int] = SHAPE) -> Mask:
-    mask = np.zeros(shape, bool)
-    mask[y0:y1, x0:x1] = True
-    return mask
-
-
 def noisy(image: np.ndarray, seed: int) -> np.ndarray:
     noise = np.random.default_rng(seed).normal(0, 2.0, image.shape)
     return np.clip(image + noise, 0, 255).astype(np.uint8)
@@ -57,7 +47,7 @@ def ground_of(channels: int) -> np.ndarray:
 
 
 def still_views(ground: np.ndarray, objects: Mask = NOTHING) -> list[View]:
-    return [View(without_objects(noisy(ground, seed), objects), np.eye(3)) for seed in range(10)]
+    return [View(scene_behind(noisy(ground, seed), objects), np.eye(3)) for seed in range(10)]
 
 
 def area_around(*objects: Mask, margin: int = 7) -> MovingArea:
@@ -71,18 +61,14 @@ def area_around(*objects: Mask, margin: int = 7) -> MovingArea:
     for found in objects:
         box = Box.around(found)
         heart[box.y0 + 7 : box.y1 - 7, box.x0 + 7 : box.x1 - 7] = True
-    return MovingArea(smeared, core, heart, (3.0, 0.0))
+    mask, core, heart = (Outline.of(each) for each in (smeared, core, heart))
+    return MovingArea(mask, core, heart, (3.0, 0.0))
 
 
 def cut_out(image: np.ndarray, areas: list[MovingArea], views: list[View]) -> list[Mask]:
     """The outlines' masks, each of the whole frame."""
-    masks = []
     windows = object_windows(image, areas, views, STILL, TILT, stamp=0)
-    for outline in silhouettes(windows, THRESHOLD):
-        mask = NOTHING.copy()
-        mask[outline.box.slices] = outline.mask
-        masks.append(mask)
-    return masks
+    return [outline.in_frame(SHAPE) for outline in silhouettes(windows, THRESHOLD)]
 
 
 CAR = rectangle(60, 30, 96, 54)
@@ -174,7 +160,7 @@ def test_while_its_background_is_hidden_an_object_is_told_by_its_colour() -> Non
     ground = ground_of(3)
     image = ground.copy()
     image[CAR] = (30, 40, 200)
-    hidden = area_around(CAR).mask
+    hidden = area_around(CAR).mask.in_frame(SHAPE)
     (found,) = cut_out(noisy(image, 99), [area_around(CAR)], still_views(ground, hidden))
     assert jaccard(found, CAR) > 0.8
 
@@ -183,7 +169,7 @@ def test_outlines_are_the_same_each_time() -> None:
     ground = ground_of(3)
     image = ground.copy()
     image[CAR] = (30, 40, 200)
-    views = still_views(ground, area_around(CAR).mask)
+    views = still_views(ground, area_around(CAR).mask.in_frame(SHAPE))
     first = cut_out(noisy(image, 99), [area_around(CAR)], views)
     cv2.setRNGSeed(12345)
     second = cut_out(noisy(image, 99), [area_around(CAR)], views)
@@ -206,89 +192,6 @@ def test_an_empty_mask_has_no_shadow() -> None:
     ground = ground_of(1)
     background = background_in(Box(0, 0, SHAPE[1], SHAPE[0]), still_views(ground))
     assert not without_shadow(NOTHING, ground, background).any()
-
-
-MOVING_SHAPE = (48, 80)
-
-
-def region(mask: Mask, velocity: tuple[float, float], strength: float = 20.0) -> Region:
-    y, x = (int(v.mean()) for v in np.nonzero(mask))
-    return Region(Seed(x, y, velocity, strength), mask)
-
-
-def motion_of(*regions: Region) -> MotionEstimate:
-    velocity = np.zeros((*MOVING_SHAPE, 2), np.float32)
-    for moving in regions:
-        velocity[moving.mask] = moving.seed.velocity
-    return MotionEstimate(
-        velocity=velocity,
-        motion_map=np.linalg.norm(velocity, axis=2),
-        noise=np.full(MOVING_SHAPE, 0.1, np.float32),
-        tilt=0.1,
-        visible=np.ones(MOVING_SHAPE, bool),
-        ego_motion_model="affine",
-    )
-
-
-def small(x0: int, y0: int, x1: int, y1: int) -> Mask:
-    return rectangle(x0, y0, x1, y1, MOVING_SHAPE)
-
-
-def test_a_region_is_enlarged_to_where_outlines_are_drawn() -> None:
-    moving = region(small(20, 10, 50, 34), (2.0, -1.0))
-    (area,) = moving_areas([moving], motion_of(moving), (160, 96))
-    assert jaccard(area.mask, rectangle(40, 20, 100, 68)) > 0.95
-    assert area.velocity == (4.0, -2.0)
-
-
-def test_a_heart_lies_in_its_core_and_a_core_in_its_area() -> None:
-    moving = region(small(20, 10, 50, 34), (2.0, 0.0))
-    (area,) = moving_areas([moving], motion_of(moving), (160, 96))
-    assert area.heart.any()
-    assert not (area.heart & ~area.core).any()
-    assert not (area.core & ~area.mask).any()
-
-
-def test_slow_pixels_are_not_the_core_of_an_area() -> None:
-    moving = region(small(20, 10, 50, 34), (2.0, 0.0))
-    motion = motion_of(moving)
-    motion.velocity[:, 40:50] /= 2
-    (area,) = moving_areas([moving], motion, (160, 96))
-    assert jaccard(area.core, rectangle(40, 20, 80, 68)) > 0.9
-    assert jaccard(area.mask, rectangle(40, 20, 100, 68)) > 0.9
-
-
-def test_both_ends_of_an_object_are_one_area() -> None:
-    front, rear = (region(small(x, 20, x + 12, 32), (2.0, 0.1)) for x in (20, 36))
-    (area,) = moving_areas([front, rear], motion_of(front, rear), (160, 96))
-    assert jaccard(area.mask, rectangle(40, 40, 96, 64)) > 0.9
-
-
-@pytest.mark.parametrize(
-    ("gap", "velocity"), [(4, (-2.0, 0.0)), (4, (2.0, 2.0)), (24, (2.0, 0.0))], ids=str
-)
-def test_what_moves_otherwise_or_far_away_is_another_area(
-    gap: int, velocity: tuple[float, float]
-) -> None:
-    one = region(small(10, 20, 22, 32), (2.0, 0.0))
-    other = region(small(22 + gap, 20, 34 + gap, 32), velocity)
-    assert len(moving_areas([one, other], motion_of(one, other), (160, 96))) == 2
-
-
-def test_no_regions_are_no_areas() -> None:
-    assert not moving_areas([], motion_of(), (160, 96))
-
-
-def test_an_outline_is_no_larger_than_what_it_holds() -> None:
-    outline = Outline.of(rectangle(5, 7, 20, 30), x0=100, y0=50)
-    assert outline.box == Box(105, 57, 120, 80)
-    assert outline.mask.shape == (23, 15)
-    assert outline.mask.all()
-
-
-def test_a_mask_is_enlarged_to_the_same_place() -> None:
-    large = enlarged(small(20, 10, 50, 34), (160, 96))
-    assert jaccard(large, rectangle(40, 20, 100, 68)) > 0.97
 
 
 def test_parts_with_a_wide_gap_are_separate() -> None:
@@ -323,23 +226,6 @@ def test_parts_are_disjoint_and_of_the_mask(mask: Mask) -> None:
     total = np.sum([np.zeros(mask.shape, int), *separated(mask)], axis=0)
     assert total.max() <= 1
     assert not (total.astype(bool) & ~mask).any()
-
-
-def test_a_hull_fills_what_its_mask_embraces() -> None:
-    ell = rectangle(10, 10, 14, 40) | rectangle(10, 36, 40, 40)
-    hull = convex_hull(ell)
-    assert not (ell & ~hull).any()
-    assert hull[35, 15]
-    assert not hull[12, 38]
-
-
-def test_the_hull_of_two_parts_spans_them() -> None:
-    hull = convex_hull(rectangle(10, 10, 20, 20) | rectangle(60, 10, 70, 20))
-    np.testing.assert_array_equal(hull, rectangle(10, 10, 70, 20))
-
-
-def test_nothing_has_an_empty_hull() -> None:
-    assert not convex_hull(NOTHING).any()
 
 
 def test_the_guided_filter_smooths_where_its_guide_is_plain() -> None:

@@ -10,7 +10,7 @@ from drawn_scene import jaccard
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from turbseg_ros.segmentation.background import Box
+from turbseg_ros.segmentation.outline import Box
 from turbseg_ros.segmentation.track import Candidate, Observation
 from turbseg_ros.segmentation.tracking import ObjectTracker
 from turbseg_ros.segmentation.unification import KMeansUnifier, unify_by_kmeans
@@ -132,7 +132,7 @@ def test_an_object_that_hides_for_too_long_ends() -> None:
     tracker = tracker_of()
     follow(tracker, range(8), (5, 30), (3, 0))
     wait(tracker, PATIENCE + 1)
-    assert not tracker.expected_masks(STILL_CAMERA, (96, 160))
+    assert not tracker.expected_outlines(STILL_CAMERA, (96, 160))
     later = 8 + PATIENCE + 1
     after = follow(tracker, range(later, later + CONFIRMATION), (5, 30), (3, 0))
     assert after.track.id == 2
@@ -242,9 +242,9 @@ def test_an_object_that_stops_is_kept_while_patience_lasts() -> None:
     for _ in range(PATIENCE):
         standing = seen(26, 30, moving=False)
         assert only(update(tracker, [standing])).track is last.track
-    assert len(tracker.expected_masks(STILL_CAMERA, (96, 160))) == 1
+    assert len(tracker.expected_outlines(STILL_CAMERA, (96, 160))) == 1
     update(tracker, [standing])
-    assert not tracker.expected_masks(STILL_CAMERA, (96, 160))
+    assert not tracker.expected_outlines(STILL_CAMERA, (96, 160))
 
 
 def test_ids_are_never_used_again() -> None:
@@ -331,20 +331,20 @@ def test_a_turn_of_the_camera_turns_velocities() -> None:
 def test_an_object_is_expected_where_it_is_headed() -> None:
     tracker = tracker_of()
     follow(tracker, range(8), (5, 30), (3, 0))
-    (expected,) = tracker.expected_masks(pan(-10, 4), (96, 160))
+    (expected,) = tracker.expected_outlines(pan(-10, 4), (96, 160))
     true = np.zeros((96, 160), bool)
     true[34:46, 19:39] = True
-    assert jaccard(expected, true) > 0.8
+    assert jaccard(expected.in_frame(true.shape), true) > 0.8
 
 
 def test_a_hidden_object_is_expected_where_it_has_got_to() -> None:
     tracker = tracker_of()
     follow(tracker, range(8), (5, 30), (3, 0))
     wait(tracker, 4)
-    (expected,) = tracker.expected_masks(STILL_CAMERA, (96, 160))
+    (expected,) = tracker.expected_outlines(STILL_CAMERA, (96, 160))
     true = np.zeros((96, 160), bool)
     true[30:42, 41:61] = True
-    assert jaccard(expected, true) > 0.8
+    assert jaccard(expected.in_frame(true.shape), true) > 0.8
 
 
 def test_a_hidden_object_is_expected_where_the_camera_has_turned() -> None:
@@ -353,16 +353,16 @@ def test_a_hidden_object_is_expected_where_the_camera_has_turned() -> None:
         update(tracker, [seen(120 - 5 * frame, 30, (3.0, 0.0))], pan(-8, 0))
     for _ in range(3):
         update(tracker, [], pan(-8, 0))
-    (expected,) = tracker.expected_masks(pan(-8, 0), (96, 160))
+    (expected,) = tracker.expected_outlines(pan(-8, 0), (96, 160))
     true = np.zeros((96, 160), bool)
     true[30:42, 65:85] = True
-    assert jaccard(expected, true) > 0.8
+    assert jaccard(expected.in_frame(true.shape), true) > 0.8
 
 
 def test_what_is_no_object_is_not_expected() -> None:
     tracker = tracker_of()
     follow(tracker, range(CONFIRMATION - 1), (5, 30), (3, 0))
-    assert not tracker.expected_masks(STILL_CAMERA, (96, 160))
+    assert not tracker.expected_outlines(STILL_CAMERA, (96, 160))
 
 
 def test_an_object_that_gets_nowhere_ends() -> None:
@@ -371,7 +371,7 @@ def test_an_object_that_gets_nowhere_ends() -> None:
     for _ in range(60):
         # It has stopped, and flow claims that it has not.
         update(tracker, [seen(26, 30, (3.0, 0.0))])
-    assert not tracker.expected_masks(STILL_CAMERA, (96, 160))
+    assert not tracker.expected_outlines(STILL_CAMERA, (96, 160))
     assert tracker.next_id == 2
 
 

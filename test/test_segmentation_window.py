@@ -10,6 +10,8 @@ from drawn_scene import texture
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from turbseg_ros.segmentation.background import scene_of
+from turbseg_ros.segmentation.outline import Outline
 from turbseg_ros.segmentation.window import FrameWindow, PreparedFrame, Resolution, prepare
 
 
@@ -19,7 +21,7 @@ def tiny_frame(
     return PreparedFrame(
         index=index,
         grey=np.zeros((2, 2), np.uint8),
-        detail=np.zeros((2, 2, 1), np.uint8),
+        scene=scene_of(np.zeros((2, 2), np.uint8)),
         from_previous=np.eye(3) if from_previous is None else from_previous,
         continues=continues,
     )
@@ -171,7 +173,7 @@ def test_the_number_of_frames_kept_stays_the_same_over_two_thousand(
         window.append(frame)
         del frame
         for centre in window.ready():
-            window.mark_objects(centre, np.zeros((2, 2), bool))
+            window.mark_objects(centre, [])
         kept.append(alive)
     assert max(kept[100:]) == max(kept[100:200])
     assert max(kept) <= 2 * 4 + look_ahead + memory / key_step + 3
@@ -220,18 +222,16 @@ def test_dropped_frames_hand_on_their_motion(motions: list[np.ndarray]) -> None:
 
 def test_objects_are_remembered_with_their_frame() -> None:
     window = filled(3)
-    objects = np.ones((2, 2), bool)
-    window.mark_objects(1, objects)
-    scene = window[1].scene
-    assert scene is not None
-    np.testing.assert_array_equal(scene.image[..., :-1], window[1].detail)
-    assert (scene.image[..., -1] == 255).all()
-    assert window[0].scene is None
+    window.mark_objects(1, [Outline.of(np.array([[True, False], [False, False]]))])
+    assert window[1].objects_known
+    np.testing.assert_array_equal(window[1].scene.image[..., -1], [[255, 0], [0, 0]])
+    assert not window[0].objects_known
+    assert not window[0].scene.image[..., -1].any()
 
 
 def test_objects_of_a_frame_that_is_gone_are_no_matter() -> None:
     window = done(window_of(memory=8), 40)
-    window.mark_objects(1, np.ones((2, 2), bool))
+    window.mark_objects(1, [Outline.of(np.ones((2, 2), bool))])
     with pytest.raises(KeyError):
         window[1]
 
@@ -293,7 +293,7 @@ def test_a_prepared_frame_has_the_sizes_of_its_resolution(colours: tuple[int, ..
     prepared = prepare(picture, resolution, 0, None)
     assert prepared.grey.shape == resolution.processing[::-1]
     assert prepared.detail.shape == (*resolution.detail[::-1], *(colours or (1,)))
-    assert prepared.scene is None
+    assert not prepared.objects_known
     np.testing.assert_array_equal(prepared.from_previous, np.eye(3))
 
 

@@ -116,7 +116,8 @@ def _heat(motion: MotionEstimate) -> Picture:
 def _regions(stages: Stages) -> Picture:
     picture = np.full((*stages.motion.motion_map.shape, 3), 40, np.uint8)
     for number, region in enumerate(stages.regions):
-        picture[region.mask] = np.array(colour_of(number)) * 0.6
+        within = picture[region.outline.box.slices]
+        within[region.outline.mask] = np.array(colour_of(number)) * 0.6
         cv2.circle(picture, (region.seed.x, region.seed.y), 3, WHITE, -1, cv2.LINE_AA)
     return picture
 

@@ -27,9 +27,9 @@ from torch import Tensor
 from torch.nn import functional
 
 from turbseg_ros.learning.refine_net import RefineNet
-from turbseg_ros.segmentation.background import Box
 from turbseg_ros.segmentation.flow import dis_flow
 from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResult
+from turbseg_ros.segmentation.outline import Box
 from turbseg_ros.segmentation.pipeline import MotionSegmenter
 from turbseg_ros.segmentation.tone import ToneMap
 

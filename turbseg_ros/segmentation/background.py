@@ -8,7 +8,7 @@ So it follows any camera that the alignment follows, and costs in proportion to 
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from turbseg_ros.segmentation.exposure import AS_IT_IS, Exposure
 from turbseg_ros.segmentation.geometry import lengths, scaling, translation
+from turbseg_ros.segmentation.outline import Box, Outline
 
 Map = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.bool_]
@@ -36,55 +37,6 @@ _IQR_TO_SIGMA = 1.0 / 1.349
 _LEAST_NOISE = 1.5
 # Rest of the tilt, in pixels, that even a calm picture has: registration isn't perfect.
 _LEAST_TILT = 0.25
-
-
-@dataclass(frozen=True)
-class Box:
-    """A rectangle of pixels: columns x0 to x1 - 1, rows y0 to y1 - 1."""
-
-    x0: int
-    y0: int
-    x1: int
-    y1: int
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Rows and columns."""
-        return self.y1 - self.y0, self.x1 - self.x0
-
-    @property
-    def slices(self) -> tuple[slice, slice]:
-        """Index that cuts the box out of an image."""
-        return slice(self.y0, self.y1), slice(self.x0, self.x1)
-
-    def grown(self, margin: int, shape: tuple[int, int]) -> Box:
-        """Give the box with `margin` more on each side, within an image of `shape`."""
-        return Box(
-            max(self.x0 - margin, 0),
-            max(self.y0 - margin, 0),
-            min(self.x1 + margin, shape[1]),
-            min(self.y1 + margin, shape[0]),
-        )
-
-    def moved(self, dx: int, dy: int) -> Box:
-        """Give the box that lies (dx, dy) further."""
-        return Box(self.x0 + dx, self.y0 + dy, self.x1 + dx, self.y1 + dy)
-
-    def common(self, other: Box) -> Box | None:
-        """Give what two boxes have in common, None if nothing."""
-        box = Box(
-            max(self.x0, other.x0),
-            max(self.y0, other.y0),
-            min(self.x1, other.x1),
-            min(self.y1, other.y1),
-        )
-        return box if box.x0 < box.x1 and box.y0 < box.y1 else None
-
-    @classmethod
-    def around(cls, mask: Mask) -> Box:
-        """Give the smallest box around a mask that holds something."""
-        x, y, width, height = cv2.boundingRect(mask.astype(np.uint8))
-        return cls(x, y, x + width, y + height)
 
 
 @dataclass(frozen=True)
@@ -116,10 +68,21 @@ class View:
     exposure: Exposure = AS_IT_IS
 
 
-def without_objects(image: Image, objects: Mask) -> Scene:
-    """Give the scene that a frame, HxWxC, shows where it shows no objects."""
-    hidden = objects.view(np.uint8) * np.uint8(_HIDDEN)
-    return Scene(cv2.merge([*cv2.split(image), hidden]))
+def scene_of(picture: Image) -> Scene:
+    """Give the scene that a picture, HxW or HxWxC, shows, no objects hiding it."""
+    channels = picture.shape[2] if picture.ndim == 3 else 1
+    image = np.zeros((*picture.shape[:2], channels + 1), np.uint8)
+    # From channel to channel; NumPy would go from pixel to pixel.
+    cv2.mixChannels([picture], [image], [each for c in range(channels) for each in (c, c)])
+    return Scene(image)
+
+
+def without_objects(scene: Scene, objects: Iterable[Outline]) -> Scene:
+    """Give a scene with objects that hide it."""
+    image = scene.image.copy()
+    for outline in objects:
+        image[outline.box.slices][outline.mask, -1] = _HIDDEN
+    return Scene(image)
 
 
 @dataclass(frozen=True)

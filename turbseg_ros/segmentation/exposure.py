@@ -60,19 +60,32 @@ def exposure_between(source: ByteImage, target: ByteImage, to_source: Matrix) ->
     :param target: HxW grey image of the same size.
     :param to_source: takes the target's pixels to the source's.
     """
-    grid = scaling(_STEP, _STEP)
-    x, y = _sampled(source, to_source @ grid), _sampled(target, grid)
+    rows, columns = target.shape[0] // _STEP, target.shape[1] // _STEP
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    to_grid = (to_source @ scaling(_STEP, _STEP))[:2]
+    x = cv2.warpAffine(source, to_grid, (columns, rows), flags=flags).astype(np.float32)
+    y = cv2.resize(target[: _STEP * rows, : _STEP * columns], (columns, rows)).astype(np.float32)
     usable = (np.minimum(x, y) > _DARKEST) & (np.maximum(x, y) < _BRIGHTEST)
     x, y = x[usable], y[usable]
-    if len(x) < _FEWEST_SAMPLES:
+    # Most frames are exposed alike, which a glance tells.
+    if len(x) < _FEWEST_SAMPLES or _seem_alike(x, y):
         return AS_IT_IS
     found = _median_line(x, y)
-    # Most frames are exposed alike, which a glance tells.
     for _ in range(_REFITS):
         if _median(np.abs(x * (found.gain - 1.0) + found.offset)) < _LEAST_CHANGE:
             return AS_IT_IS
         found = _refitted(found, x, y)
     return found if 1 / _LARGEST_GAIN < found.gain < _LARGEST_GAIN else AS_IT_IS
+
+
+def _seem_alike(x: Samples, y: Samples) -> bool:
+    """Tell whether mean and deviation differ by less than half of what exposures may."""
+    mean_x, mean_y = float(x.mean()), float(y.mean())
+    if abs(mean_x - mean_y) > _LEAST_CHANGE / 2:
+        return False
+    x, y = x - mean_x, y - mean_y
+    spread_x, spread_y = (float(np.sqrt(np.dot(v, v) / len(v))) for v in (x, y))
+    return abs(spread_x - spread_y) < _LEAST_CHANGE / 2
 
 
 def _median_line(x: Samples, y: Samples) -> Exposure:
@@ -107,13 +120,6 @@ def _median(values: Samples) -> float:
     """Give the upper median; NumPy's own takes four times as long for so few values."""
     middle = len(values) // 2
     return float(np.partition(values, middle)[middle])
-
-
-def _sampled(image: ByteImage, to_image: Matrix) -> Samples:
-    """Give the grey values of a coarse grid; 0 beyond the image."""
-    size = (image.shape[1] // _STEP, image.shape[0] // _STEP)
-    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    return cv2.warpAffine(image, to_image[:2], size, flags=flags).astype(np.float32)
 
 
 def _channels(image: ByteImage) -> int:

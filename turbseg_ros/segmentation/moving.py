@@ -11,8 +11,9 @@ import numpy.typing as npt
 
 from turbseg_ros.parameters import Parameters
 from turbseg_ros.segmentation import region_growing
+from turbseg_ros.segmentation.areas import SMEAR, MovingArea, moving_areas
 from turbseg_ros.segmentation.flow import Flow
-from turbseg_ros.segmentation.geometry import pixel_grid, translation
+from turbseg_ros.segmentation.geometry import translation
 from turbseg_ros.segmentation.motion import (
     MotionEstimate,
     affine_motions,
@@ -23,20 +24,13 @@ from turbseg_ros.segmentation.motion import (
     slope_velocity,
     unchecked_motions,
 )
+from turbseg_ros.segmentation.outline import Box, convex_hull, painted
 from turbseg_ros.segmentation.region_growing import Region
-from turbseg_ros.segmentation.silhouette import (
-    SMEAR,
-    MovingArea,
-    convex_hull,
-    dilated,
-    moved,
-    moving_areas,
-    union,
-)
 from turbseg_ros.segmentation.stabilization import visible
 from turbseg_ros.segmentation.window import Neighbourhood, Resolution
 
 Mask = npt.NDArray[np.bool_]
+Map = npt.NDArray[np.float32]
 Matrix = npt.NDArray[np.float64]
 
 # Flow within this many pixels of another frame's border follows the border, not the scene.
@@ -96,11 +90,11 @@ def what_moves(
     regions = _regions(short, np.zeros(short.motion_map.shape, bool), parameters)
     moving = Moving(short, regions, moving_areas(regions, short, size))
     for motion in motions[1:]:
-        taken = dilated(
-            union([convex_hull(region.mask) for region in regions], short.motion_map.shape), SMEAR
-        )
+        shape = short.motion_map.shape
+        hulls = [convex_hull([region.outline]) for region in regions]
+        taken = painted([hull.widened(SMEAR, shape) for hull in hulls], shape)
         regions = _regions(motion, taken | ~agree(short, motion), parameters)
-        slow = union([region.mask for region in regions], taken.shape)
+        slow = painted([region.outline for region in regions], shape)
         moving = Moving(
             merged(moving.motion, motion, slow),
             [*moving.regions, *regions],
@@ -115,29 +109,40 @@ def carried(moving: Moving, ego_motion: Matrix, resolution: Resolution) -> Movin
     :param ego_motion: takes the frame's processing pixels to the next one's.
     """
     detail_motion = resolution.to_detail(ego_motion)
-    areas = [_carried_area(area, detail_motion) for area in moving.areas]
+    areas = [
+        area.moved(detail_motion @ translation(*area.velocity), resolution.detail[::-1])
+        for area in moving.areas
+    ]
     motion = moving.motion
-    steps = np.zeros_like(motion.velocity)
+    shape = motion.motion_map.shape
+    velocity, motion_map = (
+        _moved(ego_motion, values) for values in (motion.velocity, motion.motion_map)
+    )
     regions = []
     for region in moving.regions:
-        mask = moved(region.mask, ego_motion @ translation(*region.seed.velocity))
-        steps[mask] = region.seed.velocity
-        regions.append(replace(region, mask=mask))
-    height, width = motion.motion_map.shape
-    before = cv2.transform(pixel_grid((height, width)), np.linalg.inv(ego_motion)[:2]) - steps
-    velocity, motion_map = (
-        cv2.remap(values, before, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        for values in (motion.velocity, motion.motion_map)
-    )
+        way = ego_motion @ translation(*region.seed.velocity)
+        outline = region.outline.resampled(way, shape, cv2.INTER_NEAREST)
+        regions.append(replace(region, outline=outline))
+        if not outline.area:
+            continue
+        for values, before in ((velocity, motion.velocity), (motion_map, motion.motion_map)):
+            there = _moved(way, before, outline.box)
+            values[outline.box.slices][outline.mask] = there[outline.mask]
     return Moving(
         replace(motion, velocity=velocity, motion_map=motion_map), regions, areas, measured=False
     )
 
 
-def _carried_area(area: MovingArea, ego_motion: Matrix) -> MovingArea:
-    way = ego_motion @ translation(*area.velocity)
-    mask, core, heart = (moved(mask, way) for mask in (area.mask, area.core, area.heart))
-    return MovingArea(mask, core, heart, area.velocity)
+def _moved(way: Matrix, values: Map, box: Box | None = None) -> Map:
+    """Give what a transform makes of a map, within a box of the frame, all of it if None.
+
+    Beyond its border the map goes on as there.
+    """
+    height, width = values.shape[:2] if box is None else box.shape
+    if box is not None:
+        way = translation(-box.x0, -box.y0) @ way
+    moved: Map = cv2.warpAffine(values, way[:2], (width, height), borderMode=cv2.BORDER_REPLICATE)
+    return moved
 
 
 def _regions(motion: MotionEstimate, taken: Mask, parameters: Parameters) -> list[Region]:

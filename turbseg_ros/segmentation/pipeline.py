@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from turbseg_ros.parameters import Parameters
+from turbseg_ros.segmentation.areas import MovingArea
 from turbseg_ros.segmentation.background import View, without_objects
 from turbseg_ros.segmentation.exposure import exposure_between
 from turbseg_ros.segmentation.flow import Flow, FlowBackend, dis_flow
@@ -22,17 +23,9 @@ from turbseg_ros.segmentation.motion import (
     next_interval,
 )
 from turbseg_ros.segmentation.moving import Moving, carried, measured_motions, what_moves
+from turbseg_ros.segmentation.outline import NOTHING, Outline, painted
 from turbseg_ros.segmentation.refinement import Refiner, refined_silhouettes
-from turbseg_ros.segmentation.silhouette import (
-    MovingArea,
-    Outline,
-    dilated,
-    enlarged,
-    object_windows,
-    resampled,
-    silhouettes,
-    union,
-)
+from turbseg_ros.segmentation.silhouette import object_windows, silhouettes
 from turbseg_ros.segmentation.tone import ToneMap
 from turbseg_ros.segmentation.track import Candidate, IdentityKeeper, Observation
 from turbseg_ros.segmentation.tracking import ObjectTracker
@@ -194,7 +187,9 @@ class MotionSegmenter:
         tilt = 0.0 if np.isnan(moving.motion.tilt) else moving.motion.tilt * scale
         candidates = self._outlines(centre, moving, ego_motion, tilt, frame.stamp)
         observations = self._identities.update(candidates, ego_motion, tilt)
-        self._window.mark_objects(centre, _widened(candidates, self._detail_shape, _GUARD))
+        shape = self._detail_shape
+        widened = [candidate.outline.widened(_GUARD, shape) for candidate in candidates]
+        self._window.mark_objects(centre, widened)
         return _Pending(frame, self._resolution, moving.motion, observations)
 
     @property
@@ -207,7 +202,7 @@ class MotionSegmenter:
         assert self._resolution is not None
         if centre == 0:
             return np.eye(3)
-        return self._resolution.to_detail(self._window.transform(centre - 1, centre))
+        return self._resolution.to_detail(self._window[centre].from_previous)
 
     def _intervals(self) -> list[int]:
         p = self._parameters
@@ -225,7 +220,7 @@ class MotionSegmenter:
             return None
         if self._is_carried(centre):
             assert self._moving is not None and self._resolution is not None
-            ego_motion = self._window.transform(centre - 1, centre)
+            ego_motion = self._window[centre].from_previous
             return carried(self._moving, ego_motion, self._resolution)
         if centre not in self._ordered:
             self._order(centre)
@@ -287,11 +282,11 @@ class MotionSegmenter:
     ) -> list[Candidate]:
         """Turn moving regions into outlines at detail resolution."""
         assert self._resolution is not None
-        area = union([area.mask for area in moving.areas], self._detail_shape)
+        area = painted([area.mask for area in moving.areas], self._detail_shape)
         seen_to_move = area if moving.measured else np.zeros_like(area)
         if self._parameters.outline.method == "none":
-            masks = [enlarged(region.mask, self._resolution.detail) for region in moving.regions]
-            outlines = [Outline.of(mask) for mask in masks if mask.any()]
+            sizes = self._resolution.detail, self._resolution.processing
+            outlines = [region.outline.enlarged(*sizes) for region in moving.regions]
         else:
             resting = self._resting_objects(area, ego_motion)
             windows = object_windows(
@@ -311,51 +306,44 @@ class MotionSegmenter:
         return [
             _candidate(outline, seen_to_move, moving.motion, self._resolution)
             for outline in outlines
-            if np.count_nonzero(outline.mask) >= _SMALLEST_OUTLINE
+            if outline.area >= _SMALLEST_OUTLINE
         ]
 
     def _resting_objects(self, moving: Mask, ego_motion: Matrix) -> list[MovingArea]:
         """Give where known objects should be that no motion was found for."""
-        expected = self._identities.expected_masks(ego_motion, self._detail_shape)
+        shape = self._detail_shape
         return [
-            MovingArea(
-                mask=dilated(mask, _GUARD + 1),
-                core=np.zeros_like(mask),
-                heart=np.zeros_like(mask),
-                velocity=(0.0, 0.0),
-            )
-            for mask in expected
-            if np.count_nonzero(mask & moving) < _RESTING * np.count_nonzero(mask)
+            MovingArea(expected.widened(_GUARD + 1, shape), NOTHING, NOTHING, (0.0, 0.0))
+            for expected in self._identities.expected_outlines(ego_motion, shape)
+            if expected.common_area(moving) < _RESTING * expected.area
         ]
 
     def _views(self, centre: int, areas: Sequence[MovingArea]) -> list[View]:
         """Give the scene at other times; in frames to come, objects are where they are headed."""
         assert self._resolution is not None
         views = []
+        here = self._window[centre]
+        transforms = self._window.transforms_from(centre)
         for index in self._window.key_frames(centre):
             key = self._window[index]
-            transform = self._window.transform(centre, index)
-            exposure = exposure_between(key.grey, self._window[centre].grey, transform)
-            to_image = self._resolution.to_detail(transform)
+            exposure = exposure_between(key.grey, here.grey, transforms[index])
+            to_image = self._resolution.to_detail(transforms[index])
             scene = key.scene
-            if scene is None:
-                objects = self._headed(areas, index - centre, to_image)
-                scene = without_objects(key.detail, objects)
+            if not key.objects_known:
+                scene = without_objects(scene, self._headed(areas, index - centre, to_image))
             views.append(View(scene, to_image, exposure))
         return views
 
-    def _headed(self, areas: Sequence[MovingArea], frames: int, to_image: Matrix) -> Mask:
-        """Give the cores of moving areas so many frames on, HxW, in that frame's pixels."""
-        objects = np.zeros(self._detail_shape, bool)
-        for area in areas:
-            if not area.core.any():
-                continue
-            core = Outline.of(area.core)
-            vx, vy = area.velocity
-            way = to_image @ translation(vx * frames, vy * frames)
-            moved = resampled(core, way, self._detail_shape, cv2.INTER_NEAREST)
-            objects[moved.box.slices] |= moved.mask
-        return objects
+    def _headed(self, areas: Sequence[MovingArea], frames: int, to_image: Matrix) -> list[Outline]:
+        """Give the cores of moving areas so many frames on, in that frame's pixels."""
+        return [
+            area.core.resampled(
+                to_image @ translation(area.velocity[0] * frames, area.velocity[1] * frames),
+                self._detail_shape,
+                cv2.INTER_NEAREST,
+            )
+            for area in areas
+        ]
 
 
 def _identity_keeper(parameters: Parameters) -> IdentityKeeper:
@@ -369,13 +357,6 @@ def _identity_keeper(parameters: Parameters) -> IdentityKeeper:
         slots=parameters.max_objects,
         every=parameters.flow.every,
     )
-
-
-def _widened(candidates: Sequence[Candidate], shape: tuple[int, int], radius: int) -> Mask:
-    objects = np.zeros(shape, bool)
-    for candidate in candidates:
-        objects[candidate.box.slices] |= candidate.mask
-    return dilated(objects, radius)
 
 
 def _candidate(
@@ -427,11 +408,11 @@ def _result(pending: _Pending) -> SegmentationResult:
 
 
 def _at_input_resolution(candidate: Candidate, resolution: Resolution) -> Outline:
-    outline = Outline(candidate.box, candidate.mask)
+    outline = candidate.outline
     if resolution.detail == resolution.input:
         return outline
     x, y = (there / here for there, here in zip(resolution.input, resolution.detail, strict=True))
-    return resampled(outline, scaling(x, y), resolution.input[::-1], cv2.INTER_LINEAR)
+    return outline.resampled(scaling(x, y), resolution.input[::-1], cv2.INTER_LINEAR)
 
 
 def _moving_object(observation: Observation, outline: Outline, scale: float) -> MovingObject:

@@ -11,12 +11,8 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from turbseg_ros.segmentation.silhouette import (
-    ObjectWindow,
-    Outline,
-    opened,
-    separated,
-)
+from turbseg_ros.segmentation.outline import Outline
+from turbseg_ros.segmentation.silhouette import ObjectWindow, opened, separated
 
 Map = npt.NDArray[np.float32]
 

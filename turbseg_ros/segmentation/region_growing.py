@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from turbseg_ros.segmentation.motion import MotionEstimate
+from turbseg_ros.segmentation.outline import Box, Outline
 
 Map = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.bool_]
@@ -29,10 +30,10 @@ class Seed:
 
 @dataclass(frozen=True)
 class Region:
-    """Pixels grown from one seed: HxW mask at processing resolution."""
+    """Pixels grown from one seed, at processing resolution."""
 
     seed: Seed
-    mask: Mask
+    outline: Outline
 
 
 # Given the motion, a seed and the pixels still free, tells which pixels may join the seed.
@@ -101,10 +102,10 @@ def grow_regions(
     regions = []
     for seed in _seeds(motion, strength, occupancy, size):
         candidates = similarity(motion, seed, delta) & (occupancy == _FREE) & motion.visible
-        mask = _connected_to(seed, candidates)
-        occupancy[mask] = _TAKEN
-        if np.count_nonzero(mask) >= smallest:
-            regions.append(Region(seed, mask))
+        grown = _connected_to(seed, candidates)
+        occupancy[grown.box.slices][grown.mask] = _TAKEN
+        if grown.area >= smallest:
+            regions.append(Region(seed, grown))
     return regions
 
 
@@ -125,8 +126,9 @@ def _seeds(
         yield Seed(x, y, (vx, vy), peak)
 
 
-def _connected_to(seed: Seed, candidates: Mask) -> Mask:
-    candidates[seed.y, seed.x] = True
-    _, components = cv2.connectedComponents(candidates.astype(np.uint8), connectivity=4)
-    connected: Mask = components == components[seed.y, seed.x]
-    return connected
+def _connected_to(seed: Seed, candidates: Mask) -> Outline:
+    filled = candidates.view(np.uint8)
+    filled[seed.y, seed.x] = 1
+    _, _, _, (x, y, width, height) = cv2.floodFill(filled, None, (seed.x, seed.y), 2, flags=4)
+    box = Box(x, y, x + width, y + height)
+    return Outline(box, filled[box.slices] == 2)

@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from turbseg_ros.segmentation.areas import MovingArea
 from turbseg_ros.segmentation.background import (
     Background,
-    Box,
     View,
     background_in,
     deviation_from,
@@ -19,14 +19,12 @@ from turbseg_ros.segmentation.background import (
     largest,
     smallest,
 )
-from turbseg_ros.segmentation.geometry import scaling, translation
 from turbseg_ros.segmentation.motion import MotionEstimate
-from turbseg_ros.segmentation.region_growing import Region, Seed
+from turbseg_ros.segmentation.outline import Box, Outline, painted
 
 Map = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.bool_]
 Image = npt.NDArray[np.uint8]
-Matrix = npt.NDArray[np.float64]
 
 # Pixels around what moves that are looked at with it.
 _MARGIN = 8
@@ -49,94 +47,33 @@ _CUT_ITERATIONS = 2
 # fraction of the largest object's area below which a part of the same area is debris.
 _GAP = 0.2
 _DEBRIS = 0.1
-# Share of a seed's velocity from which a pixel is hardly another's smear.
-_CORE = 0.75
-SMEAR = 7
-"""Pixels at processing resolution by which flow smears past an edge."""
-# Two regions are one object's when their velocities differ by less than this fraction, and their
-# gap is less than that fraction of the root of the smaller one's area.
-_ALIKE = 0.3
-_NEAR = 0.5
 
 
 @dataclass(frozen=True)
-class MovingArea:
-    """Where objects of one motion are to be looked for: HxW masks, pixels a frame.
-
-    `mask` holds all of them and more, for flow smears past edges; `core` is where motion is so
-    strong that it is hardly smear; `heart` lies so deep in the core that it surely is object.
-    """
+class AreaMasks:
+    """Where objects are to be looked for in a part of a frame, hxw masks; see `MovingArea`."""
 
     mask: Mask
     core: Mask
     heart: Mask
-    velocity: tuple[float, float]
 
 
 @dataclass(frozen=True)
 class ObjectWindow:
     """A part of a frame in which something moves, and all that is known of it there.
 
-    `image` is hxwxC; `views` show the scene at other times; `motion` is hxw, the motion map M in
-    units of its noise; `tilt` is the rms turbulent motion an axis in pixels; `stamp` is the
-    frame's, in nanoseconds.
+    `image` is hxwxC; `area` tells where to look; `views` show the scene at other times; `motion`
+    is hxw, the motion map M in units of its noise; `tilt` is the rms turbulent motion an axis in
+    pixels; `stamp` is the frame's, in nanoseconds.
     """
 
     box: Box
     image: Image
     views: Sequence[View]
-    area: MovingArea
+    area: AreaMasks
     motion: Map
     tilt: float
     stamp: int
-
-
-@dataclass(frozen=True)
-class Outline:
-    """What was cut out: a box of the frame and the mask within it."""
-
-    box: Box
-    mask: Mask
-
-    @classmethod
-    def of(cls, mask: Mask, x0: int = 0, y0: int = 0) -> Outline:
-        """Take a mask that holds something, whose first pixel is (x0, y0) of the frame."""
-        box = Box.around(mask)
-        return cls(box.moved(x0, y0), mask[box.slices])
-
-    def in_frame(self, shape: tuple[int, int]) -> Mask:
-        """Give the mask in a frame of some shape, HxW."""
-        frame = np.zeros(shape, bool)
-        frame[self.box.slices] = self.mask
-        return frame
-
-
-def moving_areas(
-    regions: Sequence[Region], motion: MotionEstimate, size: tuple[int, int]
-) -> list[MovingArea]:
-    """Enlarge grown regions to detail resolution, regions of one object made one area.
-
-    Flow fails within plain objects, so that only their ends may have grown: an area is the convex
-    hull of neighbours with one velocity.
-
-    :param size: width and height at detail resolution.
-    """
-    height, width = motion.motion_map.shape
-    scale = size[0] / width, size[1] / height
-    areas = []
-    for group in _of_one_velocity(regions):
-        seed = max((region.seed for region in group), key=lambda seed: seed.strength)
-        mask = union([region.mask for region in group], (height, width))
-        core = convex_hull(mask & (_share_of_velocity(motion, seed) > _CORE))
-        areas.append(
-            MovingArea(
-                mask=enlarged(convex_hull(mask), size),
-                core=enlarged(core, size),
-                heart=enlarged(_eroded(core, SMEAR), size),
-                velocity=(seed.velocity[0] * scale[0], seed.velocity[1] * scale[1]),
-            )
-        )
-    return areas
 
 
 def object_windows(
@@ -154,22 +91,29 @@ def object_windows(
     :param tilt: rms turbulent motion an axis in pixels.
     """
     shape = (image.shape[0], image.shape[1])
-    moving = union([area.mask for area in areas], shape)
-    core = union([area.core for area in areas], shape)
-    heart = union([area.heart for area in areas], shape)
+    moving, core, heart = (
+        painted(outlines, shape)
+        for outlines in (
+            [area.mask for area in areas],
+            [area.core for area in areas],
+            [area.heart for area in areas],
+        )
+    )
     strength = motion.motion_map / motion.noise
+    pieces, _ = cv2.findContours(moving.view(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
     windows = []
-    count, pieces = cv2.connectedComponents(moving.astype(np.uint8))
-    for piece in range(1, count):
-        inside = pieces == piece
-        box = Box.around(inside).grown(_MARGIN, shape)
+    for piece in reversed(pieces):
+        x, y, width, height = cv2.boundingRect(piece)
+        box = Box(x, y, x + width, y + height).grown(_MARGIN, shape)
         cut = box.slices
+        _, labels = cv2.connectedComponents(moving[cut].astype(np.uint8))
+        column, row = piece[0, 0] - (box.x0, box.y0)
         windows.append(
             ObjectWindow(
                 box=box,
-                image=image[cut],
+                image=np.ascontiguousarray(image[cut]),
                 views=views,
-                area=MovingArea(inside[cut], core[cut], heart[cut], (0.0, 0.0)),
+                area=AreaMasks(labels == labels[row, column], core[cut], heart[cut]),
                 motion=_cropped(strength, box, shape),
                 tilt=tilt,
                 stamp=stamp,
@@ -193,7 +137,7 @@ def silhouettes(windows: Sequence[ObjectWindow], threshold: float) -> list[Outli
 
 
 def standing_out(
-    background: Background, image: Image, area: MovingArea, tilt: float, threshold: float
+    background: Background, image: Image, area: AreaMasks, tilt: float, threshold: float
 ) -> Mask:
     """Tell what stands out from the background where something moves, hxw.
 
@@ -237,7 +181,7 @@ def separated(mask: Mask) -> list[Mask]:
 
 def _is_debris(part: Mask, other: Mask) -> bool:
     large = np.count_nonzero(other)
-    close = _gap(part, other) < np.sqrt(large)
+    close = Box.around(part).gap(Box.around(other)) < np.sqrt(large)
     return bool(close and np.count_nonzero(part) < _DEBRIS * large)
 
 
@@ -304,7 +248,7 @@ def _usual_difference(difference: Map, certain: Mask) -> Map:
     return nearby
 
 
-def _cut_by_colour(background: Background, image: Image, score: Map, area: MovingArea) -> Mask:
+def _cut_by_colour(background: Background, image: Image, score: Map, area: AreaMasks) -> Mask:
     """Tell objects from background by GrabCut (Rother et al. 2004), hxw.
 
     It starts from what the background tells where it is known, and from the motion elsewhere.
@@ -342,59 +286,6 @@ def _is_foreground(labels: npt.NDArray[np.uint8]) -> Mask:
     return foreground
 
 
-def convex_hull(mask: Mask) -> Mask:
-    """Fill the convex hull of a mask."""
-    outlines, _ = cv2.findContours(
-        mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE
-    )
-    hull = np.zeros(mask.shape, np.uint8)
-    if outlines:
-        cv2.fillConvexPoly(hull, cv2.convexHull(np.vstack(outlines)), 1)
-    filled: Mask = hull > 0
-    return filled
-
-
-def _of_one_velocity(regions: Sequence[Region]) -> list[list[Region]]:
-    """Group regions that move alike and lie close for their size."""
-    groups: list[list[Region]] = []
-    for region in regions:
-        near = [group for group in groups if any(_alike(region, other) for other in group)]
-        joined = [region, *(member for group in near for member in group)]
-        groups = [group for group in groups if group not in near] + [joined]
-    return groups
-
-
-def _alike(region: Region, other: Region) -> bool:
-    change = np.subtract(region.seed.velocity, other.seed.velocity)
-    speed = max(np.hypot(*region.seed.velocity), np.hypot(*other.seed.velocity))
-    if np.hypot(*change) > _ALIKE * speed:
-        return False
-    reach = _NEAR * np.sqrt(min(np.count_nonzero(region.mask), np.count_nonzero(other.mask)))
-    return _gap(region.mask, other.mask) < reach
-
-
-def _gap(mask: Mask, other: Mask) -> float:
-    """Give the distance between the boxes around two masks, in pixels, 0 where they overlap."""
-    a, b = Box.around(mask), Box.around(other)
-    across = max(a.x0 - b.x1, b.x0 - a.x1, 0)
-    down = max(a.y0 - b.y1, b.y0 - a.y1, 0)
-    return float(np.hypot(across, down))
-
-
-def _share_of_velocity(motion: MotionEstimate, seed: Seed) -> Map:
-    """Give how much of the seed's velocity each pixel shares, HxW: 1 for all of it."""
-    vx, vy = seed.velocity
-    squared = max(vx * vx + vy * vy, 1e-12)
-    share: Map = cv2.transform(motion.velocity, np.array([[vx, vy]]) / squared)
-    return share
-
-
-def _eroded(mask: Mask, radius: int) -> Mask:
-    kernel = np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)
-    eroded: Mask = cv2.erode(mask.astype(np.uint8), kernel) > 0
-    return eroded
-
-
 def _cropped(values: Map, box: Box, shape: tuple[int, int]) -> Map:
     """Give the part of a map that a box of the frame of `shape` covers, at the frame's scale."""
     scale_x, scale_y = values.shape[1] / shape[1], values.shape[0] / shape[0]
@@ -414,71 +305,6 @@ def _cropped(values: Map, box: Box, shape: tuple[int, int]) -> Map:
         borderMode=cv2.BORDER_REPLICATE,
     )
     return cropped
-
-
-def enlarged(mask: Mask, size: tuple[int, int]) -> Mask:
-    """Give a mask at another size (width, height)."""
-    x, y = size[0] / mask.shape[1], size[1] / mask.shape[0]
-    return moved(mask, scaling(x, y), size[::-1], cv2.INTER_LINEAR)
-
-
-def moved(
-    mask: Mask,
-    transform: Matrix,
-    shape: tuple[int, int] | None = None,
-    interpolation: int = cv2.INTER_NEAREST,
-) -> Mask:
-    """Give a mask where a transform takes it, in a frame of some shape, its own if None."""
-    shape = shape or (mask.shape[0], mask.shape[1])
-    if not mask.any():
-        return np.zeros(shape, bool)
-    return resampled(Outline.of(mask), transform, shape, interpolation).in_frame(shape)
-
-
-def dilated(mask: Mask, radius: int) -> Mask:
-    """Widen a mask by some pixels all round."""
-    size = 2 * radius + 1
-    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
-    widened: Mask = cv2.dilate(mask.astype(np.uint8), kernel) > 0
-    return widened
-
-
-def resampled(
-    outline: Outline, transform: Matrix, shape: tuple[int, int], interpolation: int
-) -> Outline:
-    """Give an outline in the pixels of another image of some shape, whole or what is in there.
-
-    :param transform: 3x3, affine: takes the outline's frame to that image.
-    """
-    here = outline.box
-    corners = np.array(
-        [[here.x0, here.x1, here.x0, here.x1], [here.y0, here.y0, here.y1, here.y1]]
-    )
-    x, y = transform[:2, :2] @ (corners - 0.5) + transform[:2, 2:]
-    there = Box(
-        int(np.clip(np.floor(x.min()), 0, shape[1])),
-        int(np.clip(np.floor(y.min()), 0, shape[0])),
-        int(np.clip(np.ceil(x.max()) + 1, 0, shape[1])),
-        int(np.clip(np.ceil(y.max()) + 1, 0, shape[0])),
-    )
-    height, width = there.shape
-    if not (height and width):
-        return Outline(there, np.zeros(there.shape, bool))
-    mask = cv2.warpAffine(
-        outline.mask.astype(np.uint8) * np.uint8(255),
-        (translation(-there.x0, -there.y0) @ transform @ translation(here.x0, here.y0))[:2],
-        (width, height),
-        flags=interpolation,
-    )
-    return Outline(there, mask > 127)
-
-
-def union(masks: Sequence[Mask], shape: tuple[int, int]) -> Mask:
-    """Give the union of masks of one shape, which may be none."""
-    joined = np.zeros(shape, bool)
-    for mask in masks:
-        joined |= mask
-    return joined
 
 
 def _filled(mask: Mask) -> Mask:

@@ -14,9 +14,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from turbseg_ros.segmentation.background import Box
 from turbseg_ros.segmentation.geometry import translation
-from turbseg_ros.segmentation.silhouette import Outline, resampled
+from turbseg_ros.segmentation.outline import Box, Outline
 
 Mask = npt.NDArray[np.bool_]
 Matrix = npt.NDArray[np.float64]
@@ -44,6 +43,11 @@ class Candidate:
     mask: Mask
     velocity: tuple[float, float]
     moving: bool
+
+    @property
+    def outline(self) -> Outline:
+        """Where it is."""
+        return Outline(self.box, self.mask)
 
     @property
     def area(self) -> int:
@@ -161,16 +165,15 @@ class Track:
         distance: npt.NDArray[np.float32] = cv2.distanceTransform(free, cv2.DIST_L2, 3)
         return distance
 
-    def expected_mask(self, ego_motion: Matrix, shape: tuple[int, int]) -> Mask:
-        """Give the mask, HxW, as it should be in the coming frame.
+    def expected_outline(self, ego_motion: Matrix, shape: tuple[int, int]) -> Outline:
+        """Give its mask as it should be in the coming frame of some shape.
 
         :param ego_motion: takes the last frame's pixels to the coming one's.
         """
         # The position has been carried along since the mask was last seen.
         x, y = self.position - self.candidate.centroid + np.asarray(self.velocity)
-        seen = Outline(self.candidate.box, self.candidate.mask)
         way = ego_motion @ translation(x, y)
-        return resampled(seen, way, shape, cv2.INTER_NEAREST).in_frame(shape)
+        return self.candidate.outline.resampled(way, shape, cv2.INTER_NEAREST)
 
     def observed(self) -> Observation:
         """Remember where it is now, and give what is known of it in this frame."""
@@ -210,8 +213,8 @@ class IdentityKeeper(Protocol):
     def reset(self) -> None:
         """End all tracks; ids go on."""
 
-    def expected_masks(self, ego_motion: Matrix, shape: tuple[int, int]) -> list[Mask]:
-        """Give where each object should be in the coming frame: HxW masks.
+    def expected_outlines(self, ego_motion: Matrix, shape: tuple[int, int]) -> list[Outline]:
+        """Give where each object should be in the coming frame of some shape.
 
         :param ego_motion: takes the last frame's pixels to the coming one's.
         """

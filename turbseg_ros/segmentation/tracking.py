@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import linear_sum_assignment
 
+from turbseg_ros.segmentation.outline import Outline
 from turbseg_ros.segmentation.track import (
     SHAPE_SPAN,
     Candidate,
@@ -19,7 +20,6 @@ from turbseg_ros.segmentation.track import (
     joined,
 )
 
-Mask = npt.NDArray[np.bool_]
 Matrix = npt.NDArray[np.float64]
 Point = npt.NDArray[np.float64]
 
@@ -108,13 +108,13 @@ class ObjectTracker:
         self._tracks = []
         self._restless = []
 
-    def expected_masks(self, ego_motion: Matrix, shape: tuple[int, int]) -> list[Mask]:
-        """Give where each object should be in the coming frame: HxW masks.
+    def expected_outlines(self, ego_motion: Matrix, shape: tuple[int, int]) -> list[Outline]:
+        """Give where each object should be in the coming frame of some shape.
 
         :param ego_motion: takes the last frame's pixels to the coming one's.
         """
         return [
-            track.expected_mask(ego_motion, shape) for track in self._tracks if track.confirmed
+            track.expected_outline(ego_motion, shape) for track in self._tracks if track.confirmed
         ]
 
     def update(

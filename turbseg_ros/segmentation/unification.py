@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from turbseg_ros.segmentation.outline import Outline
 from turbseg_ros.segmentation.track import (
     Candidate,
     IdentityKeeper,
@@ -52,7 +53,7 @@ class KMeansUnifier:
         """Forget the clip; ids go on."""
         self._clip = []
 
-    def expected_masks(self, ego_motion: Matrix, shape: tuple[int, int]) -> list[Mask]:
+    def expected_outlines(self, ego_motion: Matrix, shape: tuple[int, int]) -> list[Outline]:
         """Expect nothing: each frame stands for itself."""
         return []
 

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import functools
+import itertools
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from turbseg_ros.segmentation.background import Scene, without_objects
+from turbseg_ros.segmentation.background import Scene, scene_of, without_objects
 from turbseg_ros.segmentation.exposure import exposure_between
 from turbseg_ros.segmentation.geometry import scaling
+from turbseg_ros.segmentation.outline import Outline
 from turbseg_ros.segmentation.stabilization import align, register_affine
 
 Mask = npt.NDArray[np.bool_]
@@ -79,18 +82,28 @@ class Resolution:
 class PreparedFrame:
     """A frame as the stages need it.
 
-    `grey` is at processing resolution, `detail` HxWxC at detail resolution, both uint8;
+    `grey` is at processing resolution, uint8, `scene` is the picture at detail resolution, its
+    objects hidden once `objects_known`;
     `from_previous` takes the pixels (of `grey`) of the frame before in the window to this one's;
-    `continues` tells whether the two have anything in common;
-    `scene` is, once the frame's objects are known, `detail` without them.
+    `continues` tells whether the two have anything in common.
     """
 
     index: int
     grey: ByteImage
-    detail: ByteImage
+    scene: Scene
     from_previous: Matrix
     continues: bool = True
-    scene: Scene | None = None
+    objects_known: bool = False
+
+    @functools.cached_property
+    def to_previous(self) -> Matrix:
+        """What takes this frame's pixels to those of the frame before."""
+        return np.asarray(np.linalg.inv(self.from_previous))
+
+    @property
+    def detail(self) -> ByteImage:
+        """The picture at detail resolution, HxWxC, uint8."""
+        return self.scene.image[..., :-1]
 
 
 def prepare(
@@ -104,11 +117,12 @@ def prepare(
     grey = cv2.cvtColor(detail, cv2.COLOR_BGR2GRAY) if detail.ndim == 3 else detail
     grey = _resized(grey, resolution.processing)
     motion = None if previous is None else register_affine(previous.grey, grey)
+    from_previous = np.eye(3) if motion is None else motion
     return PreparedFrame(
         index=index,
         grey=grey,
-        detail=detail.reshape(*detail.shape[:2], -1),
-        from_previous=np.eye(3) if motion is None else motion,
+        scene=scene_of(detail),
+        from_previous=from_previous,
         continues=motion is not None,
     )
 
@@ -193,13 +207,12 @@ class FrameWindow:
             yield self._next_centre - 1
             self._forget()
 
-    def mark_objects(self, index: int, objects: Mask) -> None:
+    def mark_objects(self, index: int, objects: Iterable[Outline]) -> None:
         """Remember which pixels of a frame are objects, not background."""
         if index in self._frames:
             frame = self._frames[index]
-            scene = without_objects(frame.detail, objects)
-            # The picture is in there: no other copy is kept.
-            self._frames[index] = replace(frame, scene=scene, detail=scene.image[..., :-1])
+            scene = without_objects(frame.scene, objects)
+            self._frames[index] = replace(frame, scene=scene, objects_known=True)
 
     def shows_scene(self, index: int) -> bool:
         """Tell whether a frame has anything in common with the one before or after it.
@@ -232,10 +245,11 @@ class FrameWindow:
         See `neighbours` for what stands in for the others.
         """
         intervals = self.neighbours(centre, wanted)
+        transforms = self.transforms_from(centre)
         return Neighbourhood(
             self._frames[centre].grey,
             {k: self._frames[centre + k].grey for k in intervals},
-            {k: self.transform(centre, centre + k) for k in intervals},
+            {k: transforms[centre + k] for k in intervals},
         )
 
     def neighbours(self, centre: int, wanted: Sequence[int]) -> list[int]:
@@ -267,12 +281,18 @@ class FrameWindow:
 
     def transform(self, source: int, target: int) -> Matrix:
         """Give the transform of processing pixels from frame `source` to frame `target`."""
-        low, high = sorted((source, target))
-        chained = np.eye(3)
-        for index in sorted(self._frames):
-            if low < index <= high:
-                chained = self._frames[index].from_previous @ chained
-        return chained if source <= target else np.asarray(np.linalg.inv(chained))
+        return self.transforms_from(source)[target]
+
+    def transforms_from(self, source: int) -> dict[int, Matrix]:
+        """Give the transforms of processing pixels from a frame to each of those at hand."""
+        indices = sorted(self._frames)
+        here = indices.index(source)
+        transforms = {source: np.eye(3)}
+        for before, after in itertools.pairwise(indices[here:]):
+            transforms[after] = self._frames[after].from_previous @ transforms[before]
+        for after, before in itertools.pairwise(indices[here::-1]):
+            transforms[before] = self._frames[after].to_previous @ transforms[after]
+        return transforms
 
     def _forget(self) -> None:
         """Drop frames that no later one needs, handing their motion to the next that stays."""
@@ -287,7 +307,8 @@ class FrameWindow:
             if later is not None:
                 heir = self._frames[later]
                 self._frames[later] = replace(
-                    heir, from_previous=heir.from_previous @ dropped.from_previous
+                    heir,
+                    from_previous=heir.from_previous @ dropped.from_previous,
                 )
 
 
