@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -55,11 +57,11 @@ def turbulent_residuals(rms: float, intervals: tuple[int, ...]) -> dict[int, np.
     return {i: (tilt[i] - tilt[0]).astype(np.float32) for i in intervals}
 
 
-def everywhere(intervals: tuple[int, ...]) -> dict[int, np.ndarray]:
+def everywhere(intervals: Iterable[int]) -> dict[int, np.ndarray]:
     return {i: np.ones(SHAPE, np.float32) for i in intervals}
 
 
-SEEN = np.ones(SHAPE, bool)
+SEEN = everywhere(range(-20, 21))
 
 
 # The process decorrelates a little faster than the real tilt that the gains were taken from: 4 %.
@@ -98,7 +100,7 @@ def test_tilt_is_unknown_without_a_pair_of_intervals() -> None:
 
 def test_tilt_is_unknown_where_nothing_is_seen() -> None:
     residuals = turbulent_residuals(0.3, CENTRED)
-    assert np.isnan(measured_tilt(residuals, np.zeros(SHAPE, bool)))
+    assert np.isnan(measured_tilt(residuals, {i: np.zeros(SHAPE, np.float32) for i in CENTRED}))
 
 
 def scene_flows(intervals: tuple[int, ...], tilt: float = 0.2) -> dict[int, np.ndarray]:

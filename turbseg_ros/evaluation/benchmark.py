@@ -43,8 +43,8 @@ _PIPELINE = "turbseg_ros.segmentation.pipeline"
 STAGES: Mapping[str, str] = {
     "scaling": f"{_PIPELINE}.prepare",
     "registration": "turbseg_ros.segmentation.window.register_affine",
-    "optical flow": f"{_PIPELINE}.dis_flow",
-    "motion map": f"{_PIPELINE}.measured_motions",
+    "optical flow": "turbseg_ros.segmentation.finder.dis_flow",
+    "motion map": "turbseg_ros.segmentation.finder.measured_motions",
     "carrying along": f"{_PIPELINE}.carried",
     "seeds": "turbseg_ros.segmentation.region_growing.seed_strength",
     "region growing": "turbseg_ros.segmentation.region_growing.grow_regions",

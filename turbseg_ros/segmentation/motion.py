@@ -106,8 +106,9 @@ def _estimates(
     ego_motion_model: str,
 ) -> list[MotionEstimate]:
     """Average `flows` over each span; tilt is told by the `residuals`."""
+    tilt = measured_tilt(residuals, weights)
     return [
-        _estimate(*average(_of(flows, span), _of(weights, span)), residuals, ego_motion_model)
+        _estimate(*average(_of(flows, span), _of(weights, span)), tilt, ego_motion_model)
         for span in spans
     ]
 
@@ -117,19 +118,18 @@ def _of(maps: Mapping[int, Map], intervals: Sequence[int]) -> dict[int, Map]:
 
 
 def _estimate(
-    velocity: Flow, uncertainty: Map, residuals: Mapping[int, Flow], ego_motion_model: str
+    velocity: Flow, uncertainty: Map, tilt: float, ego_motion_model: str
 ) -> MotionEstimate:
     visible = np.isfinite(uncertainty)
-    velocity[~visible] = 0.0
     motion_map = geometry.lengths(*cv2.split(velocity))
     unit = _robust_deviation((_sample(motion_map) / _sample(uncertainty))[_sample(visible)])
-    uncertainty = np.where(visible, uncertainty, np.float32(1.0))
     noise = np.maximum(np.float32(unit) * uncertainty, np.float32(_LEAST_NOISE))
+    noise[~visible] = max(unit, _LEAST_NOISE)
     return MotionEstimate(
         velocity=velocity,
         motion_map=motion_map,
         noise=noise,
-        tilt=measured_tilt(residuals, visible),
+        tilt=tilt,
         visible=visible,
         ego_motion_model=ego_motion_model,
     )
@@ -190,29 +190,33 @@ def sampson_motion(
         velocity=optical_flow.slope_flow(residuals, weights),
         motion_map=motion_map,
         noise=np.full(shape, noise, np.float32),
-        tilt=measured_tilt(residuals, visible),
+        tilt=measured_tilt(residuals, weights),
         visible=visible,
         ego_motion_model="fundamental",
     )
 
 
-def measured_tilt(residuals: Mapping[int, Flow], visible: npt.NDArray[np.bool_]) -> float:
+def measured_tilt(residuals: Mapping[int, Flow], weights: Mapping[int, Map]) -> float:
     """Measure the rms turbulent tilt an axis, in pixels, from two flows that share a velocity.
 
     (F(t→t+k) + F(t→t-k))/2, or with all on one side F(t→t+k) - F(t→t+2k)/2, cancels every
     constant velocity and leaves a sum of tilts, whose variance their temporal correlation gives.
     The widest such pair counts; the median over the picture leaves objects out. NaN without one.
+
+    :param residuals: {k: F(t→t+k) less the ego-motion}, HxWx2.
+    :param weights: {k: HxW}, 0 where the pixel isn't seen in frame t+k, else 1.
     """
     both_sides = [k for k in residuals if k > 0 and -k in residuals]
     one_side = [k for k in residuals if 2 * k in residuals]
-    if not (both_sides or one_side) or not _sample(visible).any():
+    if not (both_sides or one_side):
         return float("nan")
     k = max(both_sides or one_side, key=abs)
-    if both_sides:
-        left = (_sample(residuals[k]) + _sample(residuals[-k])) / 2.0
-    else:
-        left = _sample(residuals[k]) - _sample(residuals[2 * k]) / 2.0
-    left = left[_sample(visible)]
+    other, share = (-k, 0.5) if both_sides else (2 * k, -0.5)
+    first = 0.5 if both_sides else 1.0
+    left = first * _sample(residuals[k]) + share * _sample(residuals[other])
+    left = left[(_sample(weights[k]) > 0) & (_sample(weights[other]) > 0)]
+    if not len(left):
+        return float("nan")
     # Three tilts, k frames apart: the middle one less half of each other.
     gain = 1.5 + _tilt_correlation(2 * k) / 2.0 - 2.0 * _tilt_correlation(k)
     return _robust_deviation(np.hypot(left[:, 0], left[:, 1])) / float(np.sqrt(gain))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
 import cv2
@@ -15,14 +14,15 @@ from turbseg_ros.parameters import Parameters
 from turbseg_ros.segmentation.areas import MovingArea
 from turbseg_ros.segmentation.background import View, without_objects
 from turbseg_ros.segmentation.exposure import exposure_between
-from turbseg_ros.segmentation.flow import Flow, FlowBackend, dis_flow
+from turbseg_ros.segmentation.finder import MotionFinder, Order
+from turbseg_ros.segmentation.flow import FlowBackend
 from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResult, label_of
 from turbseg_ros.segmentation.geometry import scaling, translation
 from turbseg_ros.segmentation.motion import (
     MotionEstimate,
     next_interval,
 )
-from turbseg_ros.segmentation.moving import Moving, carried, measured_motions, what_moves
+from turbseg_ros.segmentation.moving import Moving, carried
 from turbseg_ros.segmentation.outline import NOTHING, Outline, painted
 from turbseg_ros.segmentation.refinement import Refiner, refined_silhouettes
 from turbseg_ros.segmentation.silhouette import object_windows, silhouettes
@@ -30,7 +30,7 @@ from turbseg_ros.segmentation.tone import ToneMap
 from turbseg_ros.segmentation.track import Candidate, IdentityKeeper, Observation
 from turbseg_ros.segmentation.tracking import ObjectTracker
 from turbseg_ros.segmentation.unification import KMeansUnifier
-from turbseg_ros.segmentation.window import FrameWindow, Neighbourhood, Resolution, prepare
+from turbseg_ros.segmentation.window import FrameWindow, Resolution, prepare
 
 Mask = npt.NDArray[np.bool_]
 Matrix = npt.NDArray[np.float64]
@@ -76,11 +76,7 @@ class MotionSegmenter:
         :param flow: computes the optical flow; without one, OpenCV's DIS does.
         """
         self._refiner = refiner
-        self._flow = flow
-        self._executor = ThreadPoolExecutor(parameters.threads, thread_name_prefix="flow")
-        self._finder = ThreadPoolExecutor(1, thread_name_prefix="motion")
-        # What moves in frames to come, as it is being found.
-        self._ordered: dict[int, Future[Moving | None]] = {}
+        self._finder = MotionFinder(parameters.threads, flow)
         self._tone = ToneMap()
         self.reconfigure(parameters)
 
@@ -109,16 +105,14 @@ class MotionSegmenter:
         self._kind: tuple[object, ...] = ()
         self._frames: dict[int, Frame] = {}
         self._pending: deque[_Pending] = deque()
-        for found in self._ordered.values():
-            found.cancel()
-        self._ordered = {}
+        self._finder.reset()
         self._moving: Moving | None = None
         self._interval = p.flow.interval
 
     @property
     def device(self) -> str:
         """Where optical flow is computed: cpu or cuda."""
-        return "cpu" if self._flow is None else self._flow.device
+        return self._finder.device
 
     @property
     def look_ahead(self) -> int:
@@ -222,9 +216,9 @@ class MotionSegmenter:
             assert self._moving is not None and self._resolution is not None
             ego_motion = self._window[centre].from_previous
             return carried(self._moving, ego_motion, self._resolution)
-        if centre not in self._ordered:
+        if centre not in self._finder:
             self._order(centre)
-        found = self._ordered.pop(centre).result()
+        found = self._finder.take(centre)
         if found is not None:
             widest = self._parameters.flow.interval
             self._interval = next_interval(self._interval, widest, found.motion.tilt)
@@ -239,38 +233,21 @@ class MotionSegmenter:
         """Have motion measured in the next frame that is due, while outlines are drawn."""
         every = self._parameters.flow.every
         due = (centre // every + 1) * every
-        if due < self._window.count and due not in self._ordered:
+        if due < self._window.count and due not in self._finder:
             self._order(due)
 
     def _order(self, centre: int) -> None:
-        """Have what moves in a frame found in another thread."""
+        """Have what moves in a frame found beside what else is done."""
         assert self._resolution is not None
-        self._ordered[centre] = self._finder.submit(
-            self._find_moving,
-            self._window.neighbourhood(centre, self._intervals()),
-            2 * self._interval,
-            self._parameters,
-            self._resolution.detail,
+        self._finder.order(
+            Order(
+                index=centre,
+                surroundings=self._window.neighbourhood(centre, self._intervals()),
+                near=2 * self._interval,
+                parameters=self._parameters,
+                size=self._resolution.detail,
+            )
         )
-
-    def _find_moving(
-        self, surroundings: Neighbourhood, near: int, parameters: Parameters, size: tuple[int, int]
-    ) -> Moving | None:
-        if len(surroundings.neighbours) < 2:
-            return None
-        flows = self._flows(surroundings, parameters.flow.variational_iterations)
-        motions = measured_motions(surroundings, flows, near, parameters)
-        return what_moves(motions, parameters, size)
-
-    def _flows(self, surroundings: Neighbourhood, iterations: int) -> dict[int, Flow]:
-        """Give the flows of a frame to its neighbours, which are aligned to it."""
-        aligned = surroundings.aligned()
-        if self._flow is not None:
-            return self._flow.flows_to(surroundings.grey, aligned)
-        flows = self._executor.map(
-            lambda neighbour: dis_flow(surroundings.grey, neighbour, iterations), aligned.values()
-        )
-        return dict(zip(aligned, flows, strict=True))
 
     def _outlines(
         self,
