@@ -17,7 +17,7 @@ Samples = npt.NDArray[np.float32]
 # Every so many pixels each way one is compared.
 _STEP = 8
 # Grey values out of this range may have been cut off.
-_DARKEST, _BRIGHTEST = 4, 251
+_DARKEST, _BRIGHTEST = 5, 250
 _FEWEST_SAMPLES = 50
 _REFITS = 2
 # Pixels further off than so many median deviations show something else.
@@ -63,13 +63,13 @@ def exposure_between(source: ByteImage, target: ByteImage, to_source: Matrix) ->
     rows, columns = target.shape[0] // _STEP, target.shape[1] // _STEP
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     to_grid = (to_source @ scaling(_STEP, _STEP))[:2]
-    x = cv2.warpAffine(source, to_grid, (columns, rows), flags=flags).astype(np.float32)
-    y = cv2.resize(target[: _STEP * rows, : _STEP * columns], (columns, rows)).astype(np.float32)
-    usable = (np.minimum(x, y) > _DARKEST) & (np.maximum(x, y) < _BRIGHTEST)
-    x, y = x[usable], y[usable]
+    x = cv2.warpAffine(source, to_grid, (columns, rows), flags=flags)
+    y = cv2.resize(target[: _STEP * rows, : _STEP * columns], (columns, rows))
+    usable = cv2.inRange(x, _DARKEST, _BRIGHTEST) & cv2.inRange(y, _DARKEST, _BRIGHTEST)
     # Most frames are exposed alike, which a glance tells.
-    if len(x) < _FEWEST_SAMPLES or _seem_alike(x, y):
+    if cv2.countNonZero(usable) < _FEWEST_SAMPLES or _seem_alike(x, y, usable):
         return AS_IT_IS
+    x, y = (each[usable > 0].astype(np.float32) for each in (x, y))
     found = _median_line(x, y)
     for _ in range(_REFITS):
         if upper_median(np.abs(x * (found.gain - 1.0) + found.offset)) < _LEAST_CHANGE:
@@ -78,14 +78,10 @@ def exposure_between(source: ByteImage, target: ByteImage, to_source: Matrix) ->
     return found if 1 / _LARGEST_GAIN < found.gain < _LARGEST_GAIN else AS_IT_IS
 
 
-def _seem_alike(x: Samples, y: Samples) -> bool:
+def _seem_alike(x: ByteImage, y: ByteImage, usable: ByteImage) -> bool:
     """Tell whether mean and deviation differ by less than half of what exposures may."""
-    mean_x, mean_y = float(x.mean()), float(y.mean())
-    if abs(mean_x - mean_y) > _LEAST_CHANGE / 2:
-        return False
-    x, y = x - mean_x, y - mean_y
-    spread_x, spread_y = (float(np.sqrt(np.dot(v, v) / len(v))) for v in (x, y))
-    return abs(spread_x - spread_y) < _LEAST_CHANGE / 2
+    moments = [np.ravel(cv2.meanStdDev(each, mask=usable)) for each in (x, y)]
+    return bool(np.abs(moments[0] - moments[1]).max() < _LEAST_CHANGE / 2)
 
 
 def _median_line(x: Samples, y: Samples) -> Exposure:

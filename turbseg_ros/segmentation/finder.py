@@ -81,6 +81,10 @@ class MotionFinder:
     def __contains__(self, index: int) -> bool:
         return index in self._ordered
 
+    def __len__(self) -> int:
+        """How many frames are ordered and not taken."""
+        return len(self._ordered)
+
     def order(self, order: Order) -> None:
         """Have what moves in a frame found; orders come in the order of the frames."""
         self._ordered[order.index] = self._finder.submit(self._find, order, self._forward)
@@ -88,6 +92,10 @@ class MotionFinder:
     def take(self, index: int) -> Moving | None:
         """Wait for what moves in a frame; None where there was too little to compare it with."""
         return self._ordered.pop(index).result()
+
+    def drop(self, index: int) -> None:
+        """Forget what was ordered of a frame, if it was."""
+        self._ordered.pop(index, None)
 
     def _find(self, order: Order, forward: _Forward) -> Moving | None:
         if len(order.surroundings.neighbours) < 2:

@@ -103,14 +103,15 @@ def what_moves(
     return moving
 
 
-def carried(moving: Moving, ego_motion: Matrix, resolution: Resolution) -> Moving:
-    """Carry what moved in a frame along to the next: the camera's motion, and each one's own.
+def carried(moving: Moving, ego_motion: Matrix, resolution: Resolution, frames: int = 1) -> Moving:
+    """Carry what moved in a frame along to a later one: the camera's motion, and each one's own.
 
-    :param ego_motion: takes the frame's processing pixels to the next one's.
+    :param ego_motion: takes the frame's processing pixels to the later one's.
+    :param frames: how many frames later that is.
     """
     detail_motion = resolution.to_detail(ego_motion)
     areas = [
-        area.moved(detail_motion @ translation(*area.velocity), resolution.detail[::-1])
+        area.moved(detail_motion @ _own_motion(area.velocity, frames), resolution.detail[::-1])
         for area in moving.areas
     ]
     motion = moving.motion
@@ -120,7 +121,7 @@ def carried(moving: Moving, ego_motion: Matrix, resolution: Resolution) -> Movin
     )
     regions = []
     for region in moving.regions:
-        way = ego_motion @ translation(*region.seed.velocity)
+        way = ego_motion @ _own_motion(region.seed.velocity, frames)
         outline = region.outline.resampled(way, shape, cv2.INTER_NEAREST)
         regions.append(replace(region, outline=outline))
         if not outline.area:
@@ -131,6 +132,10 @@ def carried(moving: Moving, ego_motion: Matrix, resolution: Resolution) -> Movin
     return Moving(
         replace(motion, velocity=velocity, motion_map=motion_map), regions, areas, measured=False
     )
+
+
+def _own_motion(velocity: tuple[float, float], frames: int) -> Matrix:
+    return translation(velocity[0] * frames, velocity[1] * frames)
 
 
 def _moved(way: Matrix, values: Map, box: Box | None = None) -> Map:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -172,6 +172,9 @@ class MotionSegmenter:
         frame = self._frames.pop(centre)
         ego_motion = self._ego_motion(centre)
         moving = self._what_moves(centre)
+        if moving is not None and moving.measured:
+            widest = self._parameters.flow.interval
+            self._interval = next_interval(self._interval, widest, moving.motion.tilt)
         self._moving = moving
         self._measure_ahead(centre)
         if moving is None:
@@ -210,24 +213,39 @@ class MotionSegmenter:
 
     def _what_moves(self, centre: int) -> Moving | None:
         """Find what moves in a frame; None where there is nothing to compare it with."""
+        measured = centre - self._lag
         if not self._window.shows_scene(centre):
+            self._finder.drop(measured)
             return None
-        if self._is_carried(centre):
-            assert self._moving is not None and self._resolution is not None
-            ego_motion = self._window[centre].from_previous
-            return carried(self._moving, ego_motion, self._resolution)
-        if centre not in self._finder:
+        if self._is_due(centre) and centre not in self._finder:
             self._order(centre)
-        found = self._finder.take(centre)
-        if found is not None:
-            widest = self._parameters.flow.interval
-            self._interval = next_interval(self._interval, widest, found.motion.tilt)
-        return found
+        if measured in self._finder:
+            found = self._brought(self._finder.take(measured), measured, centre)
+            return None if found is None else replace(found, measured=True)
+        return self._brought(self._moving, centre - 1, centre)
 
-    def _is_carried(self, centre: int) -> bool:
-        """Tell whether motion is not measured in a frame but carried along from the one before."""
-        due = centre % self._parameters.flow.every == 0
-        return not due and self._moving is not None and self._window[centre].continues
+    @property
+    def _lag(self) -> int:
+        """Frames after which what moves in a frame is asked for, as there are none to come."""
+        p = self._parameters
+        return p.flow.every if p.latency.mode == "causal" else 0
+
+    def _is_due(self, centre: int) -> bool:
+        """Tell whether motion is to be measured in a frame, for none can be carried along."""
+        if centre % self._parameters.flow.every == 0:
+            return True
+        can_be_carried = self._moving is not None and self._window[centre].continues
+        return not can_be_carried and not (self._lag and len(self._finder))
+
+    def _brought(self, moving: Moving | None, source: int, centre: int) -> Moving | None:
+        """Bring what moves in one frame to a later one; None where the scene has changed."""
+        if moving is None or not self._window.goes_on(source, centre):
+            return None
+        assert self._resolution is not None
+        if source == centre:
+            return moving
+        ego_motion = self._window.transform(source, centre)
+        return carried(moving, ego_motion, self._resolution, centre - source)
 
     def _measure_ahead(self, centre: int) -> None:
         """Have motion measured in the next frame that is due, while outlines are drawn."""

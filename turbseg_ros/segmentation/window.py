@@ -222,6 +222,10 @@ class FrameWindow:
         after = self._frames.get(index + 1)
         return self._frames[index].continues or (after is not None and after.continues)
 
+    def goes_on(self, source: int, target: int) -> bool:
+        """Tell whether the scene of a frame goes on until a later one."""
+        return all(self._frames[k].continues for k in self._frames if source < k <= target)
+
     def follows_cut(self, prepared: PreparedFrame) -> bool:
         """Tell whether a frame, not yet taken, goes on from a newest one that began a new scene.
 
