@@ -68,6 +68,19 @@ def test_an_input_has_one_size_and_range_whatever_the_window(
     assert np.abs(maps).max() < 3.0
 
 
+def test_the_input_tells_how_large_a_window_was() -> None:
+    width, height = window_input(window((SIDE * 2, SIDE // 2)))[-2:]
+    np.testing.assert_allclose(width, -1 / 3, rtol=1e-6)
+    np.testing.assert_allclose(height, 1 / 3, rtol=1e-6)
+
+
+def test_most_of_what_moves_moves_no_more_than_is_usual() -> None:
+    maps = dict(zip(CHANNELS, window_input(window((SIDE, SIDE))), strict=True))
+    share = maps["share"][maps["moving"] > 0.5]
+    assert np.mean(share <= 1.0) == pytest.approx(0.85, abs=0.01)
+    assert share.max() <= 1.5
+
+
 def test_the_input_does_not_depend_on_exposure_or_gain() -> None:
     bright = window((60, 80))
     views = [view_of(view.scene.image[..., :-1] // 2 + 10) for view in bright.views]

@@ -120,6 +120,27 @@ def test_the_median_is_that_of_the_samples_without_objects(
             assert background.median[y, x, 0] in middle
 
 
+@pytest.mark.parametrize("channels", [1, 3])
+@pytest.mark.parametrize("width", [5, 16, 33])
+def test_quartiles_are_those_of_what_is_seen_of_each_pixel(width: int, channels: int) -> None:
+    random = np.random.default_rng(width)
+    pictures = random.integers(0, 256, (13, 7, width, channels), np.uint8)
+    objects = random.random(pictures.shape[:3]) < 0.4
+    views = [
+        View(scene_behind(picture, hidden), np.eye(3))
+        for picture, hidden in zip(pictures, objects, strict=True)
+    ]
+    background = background_in(Box(0, 0, width, 7), views)
+    for y, x in np.ndindex(7, width):
+        samples = np.sort(pictures[~objects[:, y, x], y, x], axis=0).astype(np.float32)
+        assert background.known[y, x] == (len(samples) >= 3)
+        if background.known[y, x]:
+            last = len(samples) - 1
+            lower, median, upper = (samples[(last * q + 2) // 4] for q in (1, 2, 3))
+            np.testing.assert_array_equal(background.median[y, x], median)
+            np.testing.assert_allclose(background.spread[y, x], (upper - lower) / 1.349, rtol=1e-6)
+
+
 def test_spread_is_the_standard_deviation_of_noise() -> None:
     plain = np.full((*SHAPE, 1), 128, np.uint8)
     background = background_in(WHOLE, noisy_views(40, 6.0, plain))

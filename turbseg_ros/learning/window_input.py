@@ -54,31 +54,35 @@ def window_input(window: ObjectWindow) -> Map:
     shape = min(window.box.shape[0], SIDE), min(window.box.shape[1], SIDE)
     image = resized(window.image, shape).reshape(*shape, -1)
     background = background_in(window.box, window.views, shape)
-    known = background.known
+    known = background.known.astype(np.float32)
     moving, core, motion = (
         resized(np.asarray(values, np.float32), shape)
         for values in (window.area.mask, window.area.core, window.motion)
     )
     grey = _grey(image)
-    middle, contrast = float(grey.mean()), max(float(grey.std()), _LEAST_CONTRAST)
-    change = np.where(known, grey - _grey(background.median), 0.0)
-    deviation = np.where(known, deviation_from(background, image, window.tilt), 0.0)
-    difference = np.where(known, difference_from(background, image), 0.0)
+    centred = grey - grey.mean()
+    contrast = max(float(np.sqrt(np.mean(centred * centred))), _LEAST_CONTRAST)
+    change = grey - _grey(background.median)
+    deviation = deviation_from(background, image, window.tilt)
+    difference = difference_from(background, image) * known
+    inside = moving > 0.5
     height, width = window.box.shape
     maps = (
-        np.clip((grey - middle) / (2.0 * contrast), -1.5, 1.5),
-        np.clip(change / (2.0 * contrast), -1.5, 1.5),
-        deviation / (deviation + _HALF_DEVIATION),
-        np.minimum(difference / _usual(difference, (moving > 0.5) & known, 1.0), 1.5),
+        _within(centred / (2.0 * contrast), 1.5),
+        _within(change / (2.0 * contrast), 1.5) * known,
+        deviation / (deviation + _HALF_DEVIATION) * known,
+        _within(difference / _usual(difference, inside & background.known, 1.0), 1.5),
         known,
         motion / (motion + _HALF_MOTION),
-        np.minimum(motion / _usual(motion, moving > 0.5, 0.1), 1.5),
+        _within(motion / _usual(motion, inside, 0.1), 1.5),
         moving,
         core,
-        np.full_like(grey, np.log2(width / SIDE) / 3.0),
-        np.full_like(grey, np.log2(height / SIDE) / 3.0),
     )
-    return np.stack([resized(np.asarray(values, np.float32), (SIDE, SIDE)) for values in maps])
+    seen = np.empty((len(CHANNELS), SIDE, SIDE), np.float32)
+    for channel, values in zip(seen, maps, strict=False):
+        cv2.resize(values, (SIDE, SIDE), dst=channel)
+    seen[-2], seen[-1] = np.log2(width / SIDE) / 3.0, np.log2(height / SIDE) / 3.0
+    return seen
 
 
 def at_window_size(probability: Map, window: ObjectWindow) -> Map:
@@ -95,7 +99,16 @@ def at_window_size(probability: Map, window: ObjectWindow) -> Map:
 
 def _usual(values: Map, where: npt.NDArray[np.bool_], least: float) -> float:
     inside = values[where]
-    return max(float(np.percentile(inside, _USUAL)), least) if inside.size else least
+    if not inside.size:
+        return least
+    # NumPy's percentile, which interpolates, takes four times as long.
+    rank = _USUAL * (inside.size - 1) // 100
+    return max(float(np.partition(inside, rank)[rank]), least)
+
+
+def _within(values: Map, most: float) -> Map:
+    """Give values cut off at `most` and its negative."""
+    return np.clip(values, -most, most, out=values)
 
 
 def _grey(picture: npt.NDArray[Any]) -> Map:
