@@ -175,12 +175,6 @@ class FlowParameters:
         maximum=8,
         read_only=True,
     )
-    reuse: bool = parameter(
-        True,
-        "Whether the flow back to an earlier frame is the inverse of the one from there, where "
-        "that was computed.",
-        read_only=True,
-    )
     average: str = parameter(
         "slope",
         "slope: fit the velocity to the flows at ±B and -3B; mean: the paper's eq. 1, ±1 to ±B.",

@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
-
-import numpy as np
-import numpy.typing as npt
+from dataclasses import dataclass
 
 from turbseg_ros.parameters import Parameters
-from turbseg_ros.segmentation.flow import Flow, FlowBackend, dis_flow, inverted
+from turbseg_ros.segmentation.flow import Flow, FlowBackend, dis_flow
 from turbseg_ros.segmentation.moving import Moving, measured_motions, what_moves
 from turbseg_ros.segmentation.window import Neighbourhood
-
-Matrix = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -30,26 +24,6 @@ class Order:
     near: int
     parameters: Parameters
     size: tuple[int, int]
-
-
-@dataclass
-class _Forward:
-    """Flows from earlier frames to later ones: {(source, target): flow and alignment}."""
-
-    flows: dict[tuple[int, int], tuple[Flow, Matrix]] = field(default_factory=dict)
-
-    def keep(self, order: Order, flows: dict[int, Flow]) -> None:
-        """Remember the flows of a frame to later ones, and forget those to earlier ones."""
-        self.flows = {ends: kept for ends, kept in self.flows.items() if ends[1] > order.index}
-        for k, flow in flows.items():
-            if k > 0:
-                ends = (order.index, order.index + k)
-                self.flows[ends] = (flow, order.surroundings.transforms[k])
-
-    def back(self, index: int, intervals: Iterable[int]) -> dict[int, Flow]:
-        """Give the flows from a frame back to earlier ones that a flow came from."""
-        known = {k: self.flows.get((index + k, index)) for k in intervals}
-        return {k: inverted(*forward) for k, forward in known.items() if forward is not None}
 
 
 class MotionFinder:
@@ -71,12 +45,10 @@ class MotionFinder:
         return "cpu" if self._flow is None else self._flow.device
 
     def reset(self) -> None:
-        """Forget what was ordered, and all flows."""
+        """Forget what was ordered."""
         for found in getattr(self, "_ordered", {}).values():
             found.cancel()
         self._ordered: dict[int, Future[Moving | None]] = {}
-        # A new one: what still runs may write into the old.
-        self._forward = _Forward()
 
     def __contains__(self, index: int) -> bool:
         return index in self._ordered
@@ -87,7 +59,7 @@ class MotionFinder:
 
     def order(self, order: Order) -> None:
         """Have what moves in a frame found; orders come in the order of the frames."""
-        self._ordered[order.index] = self._finder.submit(self._find, order, self._forward)
+        self._ordered[order.index] = self._finder.submit(self._find, order)
 
     def take(self, index: int) -> Moving | None:
         """Wait for what moves in a frame; None where there was too little to compare it with."""
@@ -97,26 +69,20 @@ class MotionFinder:
         """Forget what was ordered of a frame, if it was."""
         self._ordered.pop(index, None)
 
-    def _find(self, order: Order, forward: _Forward) -> Moving | None:
+    def _find(self, order: Order) -> Moving | None:
         if len(order.surroundings.neighbours) < 2:
             return None
-        flows = self._flows(order, forward)
+        flows = self._flows(order)
         motions = measured_motions(order.surroundings, flows, order.near, order.parameters)
         return what_moves(motions, order.parameters, order.size)
 
-    def _flows(self, order: Order, forward: _Forward) -> dict[int, Flow]:
+    def _flows(self, order: Order) -> dict[int, Flow]:
         """Give the flows of a frame to its neighbours, which are aligned to it."""
-        surroundings, flow = order.surroundings, order.parameters.flow
-        known = forward.back(order.index, surroundings.neighbours) if flow.reuse else {}
-        aligned = surroundings.aligned(set(surroundings.neighbours) - set(known))
+        grey, aligned = order.surroundings.grey, order.surroundings.aligned()
         if self._flow is not None:
-            computed = self._flow.flows_to(surroundings.grey, aligned)
-        else:
-            iterations = flow.variational_iterations
-            flows = self._executor.map(
-                lambda neighbour: dis_flow(surroundings.grey, neighbour, iterations),
-                aligned.values(),
-            )
-            computed = dict(zip(aligned, flows, strict=True))
-        forward.keep(order, computed)
-        return {k: known[k] if k in known else computed[k] for k in surroundings.neighbours}
+            return self._flow.flows_to(grey, aligned)
+        iterations = order.parameters.flow.variational_iterations
+        flows = self._executor.map(
+            lambda neighbour: dis_flow(grey, neighbour, iterations), aligned.values()
+        )
+        return dict(zip(aligned, flows, strict=True))

@@ -14,12 +14,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from turbseg_ros.segmentation.geometry import pixel_grid
-
 Flow = npt.NDArray[np.float32]
 Map = npt.NDArray[np.float32]
 GreyImage = npt.NDArray[np.uint8]
-Matrix = npt.NDArray[np.float64]
 Shares = npt.NDArray[np.float32]
 
 Rule = Callable[[Shares, Shares], Shares]
@@ -28,8 +25,6 @@ Rule = Callable[[Shares, Shares], Shares]
 It takes K intervals as Kx1 and, KxN, which of them see each of N pixels (1, else 0); it gives KxN.
 """
 
-# Steps in which the inverse of a flow is found.
-_INVERSIONS = 3
 # Below this sum of squared distances between intervals, which are whole numbers, there is one.
 _LEAST_SPREAD = 0.25
 
@@ -57,24 +52,6 @@ def dis_flow(source: GreyImage, target: GreyImage, variational_iterations: int) 
     dis.setVariationalRefinementIterations(variational_iterations)
     flow: Flow = dis.calc(source, target, None)
     return flow
-
-
-def inverted(flow: Flow, to_target: Matrix) -> Flow:
-    """Give the flow back, F(t+k→t), of a flow F(t→t+k), by fixed-point iteration.
-
-    Where p of frame t is seen at q = T(p + f(p)) of the other, p solves p = T⁻¹q - f(p), and the
-    flow back at q is Tp - q, the frames being aligned by T both ways.
-
-    :param flow: f, from frame t to frame t+k as aligned to it, HxWx2.
-    :param to_target: T, 3x3: takes the pixels of frame t to those of frame t+k.
-    """
-    aligned = cv2.transform(pixel_grid(flow.shape[:2]), np.linalg.inv(to_target)[:2])
-    source = aligned
-    for _ in range(_INVERSIONS):
-        there = cv2.remap(flow, source, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        source = aligned - there
-    back: Flow = cv2.transform(there, -to_target[:2, :2])
-    return back
 
 
 def mean_flow(flows: Mapping[int, Flow], intervals: Sequence[int]) -> Flow:

@@ -139,9 +139,9 @@ class Neighbourhood:
     neighbours: Mapping[int, ByteImage]
     transforms: Mapping[int, Matrix]
 
-    def aligned(self, intervals: Iterable[int]) -> dict[int, ByteImage]:
-        """Give neighbours as the frame itself would show them, exposed as it is."""
-        return {k: self._aligned(self.neighbours[k], self.transforms[k]) for k in intervals}
+    def aligned(self) -> dict[int, ByteImage]:
+        """Give the neighbours as the frame itself would show them, exposed as it is."""
+        return {k: self._aligned(grey, self.transforms[k]) for k, grey in self.neighbours.items()}
 
     def _aligned(self, neighbour: ByteImage, transform: Matrix) -> ByteImage:
         exposure = exposure_between(neighbour, self.grey, transform)
