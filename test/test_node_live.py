@@ -2,37 +2,66 @@
 
 from __future__ import annotations
 
-import itertools
 import signal
-from collections.abc import Iterator
+import subprocess
+import sys
 from contextlib import ExitStack
 from pathlib import Path
 
-import cv2
 import pytest
+from camera_process import ALL, FIRST
 from diagnostic_msgs.msg import DiagnosticArray
-from node_harness import Camera, NodeProcess, Probe
+from node_harness import TIMEOUT, NodeProcess, Probe
 from sensor_msgs.msg import Image
 
-from turbseg_ros.bag.reader import BagReader
-from turbseg_ros.evaluation.replay import BagFrames
-from turbseg_ros.ros.image_conversion import message_from_image
-
-BAG = Path(__file__).parent.parent / "bags" / "normal"
+CAMERAS = Path(__file__).with_name("camera_process.py")
 SECONDS = 20
 
 
-def pictures(size: tuple[int, int]) -> Iterator[Image]:
-    """Give a bag's frames as colour images of a size (width, height), forward and backward."""
-    reader = BagReader(BAG)
-    frames = BagFrames(reader, reader.find_image_topic(None))
-    messages = [
-        message_from_image(
-            cv2.cvtColor(cv2.resize(frame.image, size), cv2.COLOR_GRAY2BGR), "bgr8", 0
-        )
-        for frame in frames
-    ]
-    return itertools.cycle([*messages, *messages[-2:0:-1]])
+class Cameras:
+    """Cameras in a process of their own, which take from the nodes as little as drivers do."""
+
+    def __init__(
+        self, output: Path, topics: list[str], size: tuple[int, int], rate: int, images: int
+    ) -> None:
+        options = ["--size", *map(str, size), "--rate", str(rate), "--images", str(images)]
+        self._output = output
+        with output.open("w") as stream:
+            self._process = subprocess.Popen(
+                [sys.executable, str(CAMERAS), *options, *topics],
+                stdin=subprocess.PIPE,
+                stdout=stream,
+                stderr=subprocess.STDOUT,
+                text=True,
+            )
+
+    @property
+    def output(self) -> str:
+        """What they printed so far."""
+        return self._output.read_text()
+
+    @property
+    def running(self) -> bool:
+        """Whether they have not ended, well or badly."""
+        return self._process.poll() is None
+
+    def go_on(self) -> None:
+        """Let them send the rest of the images or, after that, end."""
+        assert self._process.stdin is not None
+        self._process.stdin.write("\n")
+        self._process.stdin.flush()
+
+    def wait(self) -> int:
+        """Give the exit status."""
+        return self._process.wait(TIMEOUT)
+
+    def __enter__(self) -> Cameras:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self.running:
+            self._process.kill()
+        self._process.communicate(timeout=TIMEOUT)
 
 
 @pytest.mark.soak
@@ -51,7 +80,6 @@ def pictures(size: tuple[int, int]) -> Iterator[Image]:
 def test_every_image_is_answered_or_counted(
     tmp_path: Path, cameras: int, size: tuple[int, int], rate: int, mode: str
 ) -> None:
-    images = pictures(size)
     with ExitStack() as stack:
         names = [f"/camera_{number}" for number in range(cameras)]
         nodes = [
@@ -65,10 +93,10 @@ def test_every_image_is_answered_or_counted(
         probe = stack.enter_context(Probe())
         labels = [probe.count(f"{name}/turbseg/labels", Image) for name in names]
         diagnostics = probe.listen("/diagnostics", DiagnosticArray)
-        sources = [Camera(probe, f"{name}/image_raw", rate=rate) for name in names]
         sent = SECONDS * rate
-        for source in sources:
-            source.send(next(images))
+        topics = [f"{name}/image_raw" for name in names]
+        source = stack.enter_context(Cameras(tmp_path / "cameras", topics, size, rate, sent))
+        probe.wait_for(lambda: FIRST in source.output, "the cameras")
         # What is lost before anything came can't be told from what was sent before.
         probe.wait_for(
             lambda: all(
@@ -77,22 +105,32 @@ def test_every_image_is_answered_or_counted(
             ),
             "the first images",
         )
-        for _ in range(sent - 1):
-            for source in sources:
-                source.send(next(images))
+        source.go_on()
+        while source.running and ALL not in source.output:
+            probe.spin(0.5)
         during = latest(diagnostics, names)
         # A pause ends the stream, and what waits is answered.
-        probe.spin(6.0)
+        probe.wait_for(
+            lambda: all(accounted(latest(diagnostics, names)[name]) == sent for name in names),
+            "every image to be answered or counted",
+        )
         after = latest(diagnostics, names)
         memory = [node.resident_megabytes for node in nodes]
         assert [node.stop(signal.SIGINT) for node in nodes] == [0] * cameras
+        source.go_on()
+        assert source.wait() == 0, source.output
+    print(source.output.splitlines()[-1])
     for name, heard, megabytes in zip(names, labels, memory, strict=True):
-        counts = {key: int(value) for key, value in after[name].items() if "images" in key}
         late = {key: value for key, value in during[name].items() if "from arrival" in key}
         print(f"{name}: {heard.count} of {sent} answered, {late}, {megabytes:.0f} MB")
-        never_received = counts["images lost by the middleware"]
-        assert counts["images received"] + never_received == sent
-        assert counts["images answered"] + counts["images dropped"] + never_received == sent
+        never_received = int(after[name]["images lost by the middleware"])
+        assert int(after[name]["images received"]) + never_received == sent
+
+
+def accounted(shown: dict[str, str]) -> int:
+    """Give how many images were answered, or counted as dropped or lost."""
+    ends = ("images answered", "images dropped", "images lost by the middleware")
+    return sum(int(shown[end]) for end in ends)
 
 
 def latest(diagnostics: list[DiagnosticArray], names: list[str]) -> dict[str, dict[str, str]]:

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from turbseg_ros.cli.errors import UsageError, executable
+from turbseg_ros.cli.memory import keep_large_buffers
 
 if TYPE_CHECKING:
     from rclpy.executors import Executor
@@ -25,6 +26,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # is: importing rclpy, starting, working or ending. A second Ctrl-C changes nothing. Threads
     # started from here on inherit this, which is why NumPy is not imported any earlier.
     signal.pthread_sigmask(signal.SIG_BLOCK, _STOP_SIGNALS)
+    keep_large_buffers()
 
     import rclpy
     from rclpy.signals import SignalHandlerOptions
