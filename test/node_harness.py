@@ -34,9 +34,9 @@ SECOND = 10**9
 PERIOD = SECOND // 30
 # Seconds; a busy machine takes ten times as long as an idle one.
 TIMEOUT = 40.0
-# Frames whose answers may be under way: more than the method's look-ahead, and fewer than the ten
-# that a publisher keeps for a listener that is slow.
-_MOST_UNANSWERED = 9
+# Frames whose answers may be under way: more than the method's look-ahead, and fewer than a
+# publisher keeps for a listener that is slow.
+_MOST_UNANSWERED = 16
 
 
 class NodeProcess:

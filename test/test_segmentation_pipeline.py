@@ -149,7 +149,7 @@ def test_frames_wait_for_the_announced_look_ahead(mode: str) -> None:
     segmenter = MotionSegmenter(PARAMETERS.replace(chosen))
     # Neighbours, those of the frame measured next, and the frames until an object is
     # confirmed, which it is where motion is measured.
-    assert segmenter.look_ahead == {"centred": 4 + 2 + 3 + 1, "causal": 0}[mode]
+    assert segmenter.look_ahead == {"centred": 4 + 4 + 3 + 3, "causal": 0}[mode]
     given_out = 0
     for number, frame in enumerate(frames(CLIP[:20]), start=1):
         given_out += len(segmenter.push(frame))

@@ -168,7 +168,7 @@ class FlowParameters:
         read_only=True,
     )
     every: int = parameter(
-        2,
+        4,
         "Every how many frames motion is measured; in between, what moves is carried along.",
         unit="frames",
         minimum=1,

@@ -32,6 +32,8 @@ _OUTLINE_TOLERANCE = 0.5
 # Subscribers learn that they missed a message after some amount of data (images: at once), or by
 # Fast DDS' heartbeat every three seconds. Small messages have to be kept for so long at 30 Hz.
 _SMALL_DEPTH = 100
+# When a stream pauses, all frames of the look-ahead are answered at once.
+_IMAGE_DEPTH = 20
 # All else can be told from the labels: whoever records them may stall for a second.
 _LABELS_DEPTH = 30
 
@@ -279,7 +281,7 @@ class Output:
     type: type[Any]
     build: Callable[[SegmentationResult], Any]
     stateful: bool = False
-    depth: int = 10
+    depth: int = _IMAGE_DEPTH
 
 
 def outputs(max_objects: int, markers: CentroidMarkers) -> tuple[Output, ...]:
