@@ -35,6 +35,10 @@ class Exposure:
     gain: float = 1.0
     offset: float = 0.0
 
+    def then(self, other: Exposure) -> Exposure:
+        """Give what takes the grey values on to those of a third frame."""
+        return Exposure(self.gain * other.gain, self.offset * other.gain + other.offset)
+
     def applied_to(self, image: ByteImage, channels: int) -> ByteImage:
         """Give an image, HxW or HxWxC, with the first so many channels as the other frame's."""
         if self == AS_IT_IS:

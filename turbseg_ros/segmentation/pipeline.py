@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -12,8 +12,8 @@ import numpy.typing as npt
 
 from turbseg_ros.parameters import Parameters
 from turbseg_ros.segmentation.areas import MovingArea
-from turbseg_ros.segmentation.background import View, without_objects
-from turbseg_ros.segmentation.exposure import exposure_between
+from turbseg_ros.segmentation.background import Scene, View, without_objects
+from turbseg_ros.segmentation.exposure import AS_IT_IS, Exposure, exposure_between
 from turbseg_ros.segmentation.finder import MotionFinder, Order
 from turbseg_ros.segmentation.flow import FlowBackend
 from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResult, label_of
@@ -54,6 +54,15 @@ class _Pending:
     resolution: Resolution
     motion: MotionEstimate | None
     observations: Sequence[Observation]
+
+
+@dataclass(frozen=True)
+class _Outlook:
+    """Other frames as one sees them, by index: scenes without what is headed there, exposures."""
+
+    frame: int
+    scenes: dict[int, Scene] = field(default_factory=dict)
+    exposures: dict[int, Exposure] = field(default_factory=dict)
 
 
 class MotionSegmenter:
@@ -107,6 +116,7 @@ class MotionSegmenter:
         self._pending: deque[_Pending] = deque()
         self._finder.reset()
         self._moving: Moving | None = None
+        self._outlook = _Outlook(0)
         self._interval = p.flow.interval
 
     @property
@@ -287,7 +297,7 @@ class MotionSegmenter:
             windows = object_windows(
                 self._window[centre].detail,
                 [*moving.areas, *resting],
-                self._views(centre, moving.areas),
+                self._views(centre, moving),
                 moving.motion,
                 tilt,
                 stamp,
@@ -313,21 +323,37 @@ class MotionSegmenter:
             if expected.common_area(moving) < _RESTING * expected.area
         ]
 
-    def _views(self, centre: int, areas: Sequence[MovingArea]) -> list[View]:
-        """Give the scene at other times; in frames to come, objects are where they are headed."""
+    def _views(self, centre: int, moving: Moving) -> list[View]:
+        """Give the scene at other times; in frames to come, objects are where they are headed.
+
+        Exposures, and what is yet to come, are as they were when motion was measured last.
+        """
         assert self._resolution is not None
+        if moving.measured:
+            self._outlook = _Outlook(centre)
+        window, outlook = self._window, self._outlook
+        transforms = window.transforms_from(centre)
+        since = self._exposure(outlook.frame, centre, transforms[outlook.frame])
         views = []
-        here = self._window[centre]
-        transforms = self._window.transforms_from(centre)
-        for index in self._window.key_frames(centre):
-            key = self._window[index]
-            exposure = exposure_between(key.grey, here.grey, transforms[index])
+        for index in window.key_frames(centre):
             to_image = self._resolution.to_detail(transforms[index])
-            scene = key.scene
-            if not key.objects_known:
-                scene = without_objects(scene, self._headed(areas, index - centre, to_image))
-            views.append(View(scene, to_image, exposure))
+            if index not in outlook.exposures:
+                way = transforms[index] @ np.linalg.inv(transforms[outlook.frame])
+                outlook.exposures[index] = self._exposure(index, outlook.frame, way)
+            scene = window[index].scene
+            if not window[index].objects_known:
+                if index not in outlook.scenes:
+                    objects = self._headed(moving.areas, index - centre, to_image)
+                    outlook.scenes[index] = without_objects(scene, objects)
+                scene = outlook.scenes[index]
+            views.append(View(scene, to_image, outlook.exposures[index].then(since)))
         return views
+
+    def _exposure(self, source: int, target: int, to_source: Matrix) -> Exposure:
+        """Give what takes the grey values of one frame to those of another."""
+        if source == target:
+            return AS_IT_IS
+        return exposure_between(self._window[source].grey, self._window[target].grey, to_source)
 
     def _headed(self, areas: Sequence[MovingArea], frames: int, to_image: Matrix) -> list[Outline]:
         """Give the cores of moving areas so many frames on, in that frame's pixels."""
