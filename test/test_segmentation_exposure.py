@@ -40,6 +40,20 @@ def test_frames_that_only_differ_by_noise_are_exposed_alike(seed: int) -> None:
     assert found == AS_IT_IS
 
 
+@given(
+    grey=st.floats(0, 255),
+    gains=st.tuples(st.floats(0.5, 2), st.floats(0.5, 2)),
+    offsets=st.tuples(st.floats(-50, 50), st.floats(-50, 50)),
+)
+def test_exposures_follow_one_another(
+    grey: float, gains: tuple[float, float], offsets: tuple[float, float]
+) -> None:
+    one, other = (Exposure(*each) for each in zip(gains, offsets, strict=True))
+    both = one.then(other)
+    step = grey * one.gain + one.offset
+    assert grey * both.gain + both.offset == pytest.approx(step * other.gain + other.offset)
+
+
 def test_an_object_over_a_quarter_of_the_frame_changes_nothing() -> None:
     target = exposed(seed=1)
     target[:72, :128] = 250

@@ -79,6 +79,23 @@ def test_it_is_carried_along_by_its_own_motion_and_the_cameras(
     assert jaccard(there.motion.motion_map > 1.5, square(*way)) > 0.8
 
 
+def test_over_several_frames_it_goes_as_far_as_frame_by_frame(moving: Moving) -> None:
+    ego_motion, there = translation(2.0, 1.0), moving
+    for _ in range(3):
+        there = carried(there, ego_motion, RESOLUTION)
+    at_once = carried(moving, translation(6.0, 3.0), RESOLUTION, frames=3)
+    assert (
+        jaccard(at_once.areas[0].mask.in_frame(DETAIL), there.areas[0].mask.in_frame(DETAIL))
+        > 0.95
+    )
+    assert jaccard(at_once.motion.motion_map > 1.5, there.motion.motion_map > 1.5) > 0.7
+
+
+def test_areas_are_left_out_that_hold_no_object(moving: Moving) -> None:
+    assert moving.where(square(scale=2)).areas == moving.areas
+    assert moving.where(square(dx=-40.0, scale=2)).areas == []
+
+
 def test_what_leaves_the_view_is_carried_out_of_it(moving: Moving) -> None:
     gone = carried(moving, translation(300.0, 0.0), RESOLUTION)
     assert not gone.areas[0].mask.area

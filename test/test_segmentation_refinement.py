@@ -25,8 +25,10 @@ class Oracle:
 
     def __init__(self, masks: Sequence[Mask]) -> None:
         self._masks = masks
+        self.asked: set[int] = set()
 
     def refine(self, windows: Sequence[ObjectWindow]) -> list[np.ndarray]:
+        self.asked |= {window.stamp for window in windows}
         return [self._masks[w.stamp][w.box.slices].astype(np.float32) for w in windows]
 
 
@@ -48,6 +50,15 @@ def test_nothing_is_found_where_the_refiner_sees_only_background() -> None:
     results = refined([np.zeros(SCENE.shape, bool)] * len(FRAMES))
     assert len(results) == len(FRAMES)
     assert not any(result.objects for result in results)
+
+
+def test_where_nothing_is_outlined_nothing_is_looked_for_until_motion_is_measured_again() -> None:
+    blind = Oracle([np.zeros(SCENE.shape, bool)] * len(FRAMES))
+    segmenter = MotionSegmenter(PARAMETERS, blind)
+    for frame in FRAMES:
+        segmenter.push(frame)
+    segmenter.flush()
+    assert blind.asked == {0, 4, 8, 12, 16}
 
 
 def test_the_outline_of_what_rests_stays_where_it_is_expected() -> None:

@@ -52,6 +52,11 @@ class Moving:
     areas: Sequence[MovingArea]
     measured: bool = True
 
+    def where(self, objects: Mask) -> Moving:
+        """Leave out the areas that hold none of the objects, HxW at detail resolution."""
+        areas = [area for area in self.areas if area.mask.common_area(objects)]
+        return replace(self, areas=areas)
+
 
 def measured_motions(
     neighbourhood: Neighbourhood, flows: Mapping[int, Flow], near: int, parameters: Parameters

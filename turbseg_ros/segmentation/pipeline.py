@@ -197,6 +197,8 @@ class MotionSegmenter:
         shape = self._detail_shape
         widened = [candidate.outline.widened(_GUARD, shape) for candidate in candidates]
         self._window.mark_objects(centre, widened)
+        # Where nothing is cut out now, nothing will be until motion is measured again.
+        self._moving = moving.where(painted(widened, shape))
         return _Pending(frame, self._resolution, moving.motion, observations)
 
     @property
