@@ -238,9 +238,12 @@ class MotionSegmenter:
 
     @property
     def _lag(self) -> int:
-        """Frames after which what moves in a frame is asked for, as there are none to come."""
+        """Frames after which what moves in a frame is asked for, where no later ones are waited for.
+
+        Meanwhile it is found beside what else is done.
+        """
         p = self._parameters
-        return p.flow.every if p.latency.mode == "causal" else 0
+        return (p.flow.every + 1) // 2 if p.latency.mode == "causal" else 0
 
     def _is_due(self, centre: int) -> bool:
         """Tell whether motion is to be measured in a frame, for none can be carried along."""
