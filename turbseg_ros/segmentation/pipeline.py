@@ -238,7 +238,7 @@ class MotionSegmenter:
 
     @property
     def _lag(self) -> int:
-        """Frames after which what moves in a frame is asked for, where no later ones are waited for.
+        """Frames after which what moves in a frame is asked for, if none are waited for anyway.
 
         Meanwhile it is found beside what else is done.
         """
