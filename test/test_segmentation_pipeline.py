@@ -232,8 +232,9 @@ def test_a_change_of_the_image_in_mid_stream_starts_a_new_window(change) -> None
     assert min(after) > max(before)
 
 
-def pushed(segmenter: MotionSegmenter, count: int = 26) -> list[SegmentationResult]:
-    return [result for frame in frames(CLIP[:count]) for result in segmenter.push(frame)]
+def pushed(segmenter: MotionSegmenter) -> list[SegmentationResult]:
+    """Push the clip; give the results of its first frames, the others not being due yet."""
+    return [result for frame in frames(CLIP) for result in segmenter.push(frame)]
 
 
 def test_ids_go_on_after_a_reset_and_other_parameters() -> None:

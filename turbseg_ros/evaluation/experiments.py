@@ -25,7 +25,7 @@ VARIANTS: Mapping[str, Mapping[str, Value]] = {
     "interval 4": {"flow.interval": 4},
     "interval 5": {"flow.interval": 5},
     "motion in every frame": {"flow.every": 1},
-    "motion in every fourth frame": {"flow.every": 4},
+    "motion in every second frame": {"flow.every": 2},
     "mean flow (eq. 1)": {"flow.average": "mean"},
     "Sampson distance (eq. 2)": {"motion.measure": "sampson"},
     "no geometric check": {"motion.measure": "none"},
