@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import cv2
 import pytest
 from drawn_bag import write_drawn_bag
 
@@ -36,16 +35,12 @@ def test_two_replays_give_the_same_labels(bag: Path, tmp_path: Path) -> None:
 
 
 def test_on_one_thread_and_on_two_the_labels_are_the_same(bag: Path, tmp_path: Path) -> None:
-    threads = cv2.getNumThreads()
-    labels = {}
-    try:
-        for flow, opencv in ((1, 1), (2, 2)):
-            cv2.setNumThreads(opencv)
-            out = tmp_path / f"out_{flow}_{opencv}"
-            labels[flow, opencv] = replayed(bag, out, "-p", f"threads:={flow}")
-    finally:
-        cv2.setNumThreads(threads)
-    assert all(found == labels[1, 1] for found in labels.values())
+    one, two = (
+        replayed(bag, tmp_path / f"out_{threads}", "-p", f"threads:={threads}")
+        for threads in (1, 2)
+    )
+    assert any(any(labels) for _, labels in one)
+    assert one == two
 
 
 def test_replayed_labels_score_as_the_evaluation_says(bag: Path, tmp_path: Path) -> None:

@@ -9,6 +9,8 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import cv2
+
 from turbseg_ros.learning.torch_import import require_torch
 from turbseg_ros.parameters import ParameterError, Parameters
 from turbseg_ros.segmentation.flow import FlowBackend
@@ -22,6 +24,8 @@ if TYPE_CHECKING:
 def motion_segmenter(parameters: Parameters) -> MotionSegmenter:
     """Give a new segmenter, with the networks that the parameters choose.
 
+    Its own threads fill the cores: OpenCV's, which would only wait for them, are turned off.
+
     :raises ParameterError: when a network, its weights or its device can't be had, or one was
         chosen that is fitted to whole clips.
     """
@@ -30,6 +34,7 @@ def motion_segmenter(parameters: Parameters) -> MotionSegmenter:
             "parameter refine.mode is optimise, which needs the whole clip before it answers; "
             "set -p refine.mode:=pretrained, or segment a recorded bag with turbseg_replay"
         )
+    cv2.setNumThreads(1)
     return MotionSegmenter(parameters, refiner(parameters), flow_backend(parameters))
 
 

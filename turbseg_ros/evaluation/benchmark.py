@@ -25,7 +25,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from turbseg_ros.evaluation.rivals import Contender
+from turbseg_ros.evaluation.rivals import Contender, Method
 from turbseg_ros.factory import motion_segmenter
 from turbseg_ros.parameters import Parameters
 from turbseg_ros.segmentation.frame import Frame
@@ -126,7 +126,10 @@ def measure(
 
     :param warm_up: frames that are not counted, while memories fill.
     """
+    default = cv2.getNumThreads()
     segmenters = [contender.segmenter() for contender in contenders]
+    # The method makes do with its own threads, the others have OpenCV's.
+    threads = [1 if isinstance(each, Method) else default for each in contenders]
     flow = _YardstickFlow()
     meters = [_Meter() for _ in contenders]
     yardstick = _Meter()
@@ -138,9 +141,12 @@ def measure(
         flow.compute(flow.prepared(frame))
     while block := list(itertools.islice(coming, _BLOCK)):
         with clock.watching(STAGES):
+            cv2.setNumThreads(threads[0])
             meters[0].run(segmenters[0].push, block)
-        for meter, segmenter in zip(meters[1:], segmenters[1:], strict=True):
+        for meter, segmenter, count in zip(meters[1:], segmenters[1:], threads[1:], strict=True):
+            cv2.setNumThreads(count)
             meter.run(segmenter.push, block)
+        cv2.setNumThreads(default)
         yardstick.run(flow.compute, [flow.prepared(frame) for frame in block])
     counted = len(yardstick.seconds)
     return Timing(
