@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import statistics
 import subprocess
 import sys
 from contextlib import ExitStack
@@ -125,6 +126,39 @@ def test_every_image_is_answered_or_counted(
         print(f"{name}: {heard.count} of {sent} answered, {late}, {megabytes:.0f} MB")
         never_received = int(after[name]["images lost by the middleware"])
         assert int(after[name]["images received"]) + never_received == sent
+
+
+@pytest.mark.soak
+@pytest.mark.timeout(1800)
+def test_memory_and_time_a_frame_stay_flat_for_twenty_minutes(tmp_path: Path) -> None:
+    minutes, rate, name = 20, 10, "/camera"
+    sent = 60 * minutes * rate
+    with (
+        NodeProcess(tmp_path / "node", "-r", f"__ns:={name}") as node,
+        Probe() as probe,
+        Cameras(tmp_path / "cameras", [f"{name}/image_raw"], (640, 480), rate, sent) as source,
+    ):
+        labels = probe.count(f"{name}/turbseg/labels", Image)
+        diagnostics = probe.listen("/diagnostics", DiagnosticArray)
+        probe.wait_for(lambda: FIRST in source.output, "the camera")
+        source.go_on()
+        memory, pace, done, spent = [], [], 0, node.processor_seconds
+        while source.running and ALL not in source.output:
+            probe.spin(60.0)
+            answered, seconds = labels.count, node.processor_seconds
+            memory.append(node.resident_megabytes)
+            pace.append(1000.0 * (seconds - spent) / max(answered - done, 1))
+            done, spent = answered, seconds
+            print(
+                f"{answered} answered: {memory[-1]:.0f} MB, {pace[-1]:.1f} ms a frame", flush=True
+            )
+        counted = ("images received", "images dropped", "images lost by the middleware")
+        print({key: latest(diagnostics, [name])[name][key] for key in counted})
+        assert node.stop(signal.SIGINT) == 0
+        source.go_on()
+    # While the first window fills, memory grows.
+    assert max(memory[2:]) - memory[2] < 30.0
+    assert statistics.median(pace[-4:]) < 1.5 * statistics.median(pace[1:5])
 
 
 def accounted(shown: dict[str, str]) -> int:
