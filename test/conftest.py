@@ -30,3 +30,18 @@ def context() -> Iterator[Context]:
     context.init()
     yield context
     context.try_shutdown()
+
+
+@pytest.fixture(scope="module")
+def one_torch_thread() -> Iterator[None]:
+    """Let torch train in one thread.
+
+    Networks and clips of tests are so small that a second one gains nothing. On a busy machine
+    OpenMP's threads wait for each other, and training takes many times as long.
+    """
+    import torch
+
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)

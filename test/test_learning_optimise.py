@@ -21,6 +21,8 @@ from turbseg_ros.learning.optimise import (  # noqa: E402
     warp,
 )
 
+pytestmark = pytest.mark.usefixtures("one_torch_thread")
+
 SCENE = DrawnScene((3, 1), (20, 20), side=30)
 NEIGHBOURS = (-2, -1, 1, 2)
 SCENE_IMAGES = list(SCENE.images(14))

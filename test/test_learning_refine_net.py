@@ -32,6 +32,8 @@ from turbseg_ros.learning.training import (  # noqa: E402
     train,
 )
 
+pytestmark = pytest.mark.usefixtures("one_torch_thread")
+
 PARAMETERS = Parameters.from_mapping({"resolution.processing": 160})
 CLIP_LENGTH = 20
 
