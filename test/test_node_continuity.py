@@ -41,6 +41,12 @@ def test_judges_a_frame_by_its_stamp(monitor, stamp, expected):
     assert monitor.judge(frame(stamp * MS), 26 * PERIOD).action is expected
 
 
+def test_a_hole_of_dropped_frames_is_no_pause(monitor):
+    assert (
+        monitor.judge(frame(5000 * MS), 125 * PERIOD, after_drops=True).action is Action.CONTINUE
+    )
+
+
 @pytest.mark.parametrize(
     "changed", [{"size": (8, 9)}, {"size": (8, 8, 3)}, {"dtype": np.uint16}], ids=str
 )

@@ -298,3 +298,24 @@ def test_inbox_counts_what_it_clears():
     assert [inbox.put(Arrival(number, 0)) for number in range(4)] == [0, 0, 1, 1]
     assert inbox.clear() == 2
     assert inbox.clear() == 0
+
+
+def test_the_oldest_image_kept_tells_that_others_were_dropped_before_it():
+    inbox = Inbox(capacity=2)
+    for number in range(4):
+        inbox.put(Arrival(number, 0))
+    taken = [inbox.take(0.0) for _ in range(2)]
+    assert taken == [Arrival(2, 0, after_drops=True), Arrival(3, 0)]
+
+
+def test_images_that_were_dropped_are_no_pause():
+    harness = Harness(queue_size=3)
+    harness.segmenter.gate.clear()
+    harness.submit(*stamps(3))
+    while harness.worker.waiting > 2:
+        time.sleep(0.001)
+    harness.submit(*stamps(60, 3 * PERIOD))
+    harness.segmenter.gate.set()
+    harness.finish()
+    assert harness.totals()[Event.DROPPED] > 30
+    assert not any("new window" in line for line in harness.logger.lines)

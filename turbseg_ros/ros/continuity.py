@@ -74,13 +74,16 @@ class StreamMonitor:
         """Seconds without a frame after which the stream has paused."""
         return max(_GAP_SECONDS, _GAP_PERIODS * self._arrival_steps.median)
 
-    def judge(self, frame: Frame, arrival: int) -> Verdict:
+    def judge(self, frame: Frame, arrival: int, after_drops: bool = False) -> Verdict:
         """Say what to do with the next frame, which arrived at `arrival` (steady nanoseconds).
 
         A stamp that repeats or comes a little late is skipped. A jump back in time (a bag that
         loops), a long gap, another size or pixel type restarts: what follows is a new stream.
+
+        :param after_drops: whether frames before it came, but were dropped: that is no gap. To
+            begin anew, and to answer all frames at hand for it, would only cost more of them.
         """
-        verdict = self._compare(frame)
+        verdict = self._compare(frame, after_drops)
         if verdict.action is Action.SKIP:
             return verdict
         if verdict.action is Action.RESTART:
@@ -96,7 +99,7 @@ class StreamMonitor:
         self._stamp_steps = _Steps()
         self._arrival_steps = _Steps()
 
-    def _compare(self, frame: Frame) -> Verdict:
+    def _compare(self, frame: Frame, after_drops: bool) -> Verdict:
         last = self._last
         if last is None:
             return Verdict(Continuity.CONTINUES)
@@ -108,7 +111,7 @@ class StreamMonitor:
             return Verdict(Continuity.LATE, f"it comes {-step:.3f} s late")
         if step < 0.0:
             return Verdict(Continuity.WENT_BACK, f"time jumped back by {-step:.3f} s")
-        if step > max(_GAP_SECONDS, _GAP_PERIODS * period):
+        if not after_drops and step > max(_GAP_SECONDS, _GAP_PERIODS * period):
             return Verdict(Continuity.PAUSED, f"no frame for {step:.3f} s")
         before, now = _format(last), _format(frame)
         if before != now:

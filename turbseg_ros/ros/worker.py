@@ -8,7 +8,7 @@ import time
 import traceback
 from collections import deque
 from collections.abc import Callable, Hashable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -43,10 +43,14 @@ class Segmenter(Protocol):
 
 @dataclass(frozen=True)
 class Arrival:
-    """A message and when it came, in steady nanoseconds."""
+    """A message and when it came, in steady nanoseconds.
+
+    `after_drops` tells whether those before it were dropped.
+    """
 
     message: Any
     time: int
+    after_drops: bool = False
 
 
 Command = Callable[[], None]
@@ -72,6 +76,7 @@ class Inbox:
             dropped = len(self._arrivals) - self._capacity
             for _ in range(dropped):
                 self._arrivals.popleft()
+                self._arrivals[0] = replace(self._arrivals[0], after_drops=True)
             self._filled.notify()
         return max(dropped, 0)
 
@@ -203,7 +208,7 @@ class SegmentationWorker:
         except ImageConversionError as error:
             self._skip(type(error).__name__, str(error))
             return
-        verdict = self._monitor.judge(frame, arrival.time)
+        verdict = self._monitor.judge(frame, arrival.time, arrival.after_drops)
         if verdict.action is Action.SKIP:
             self._skip(verdict.continuity, verdict.reason)
             return
