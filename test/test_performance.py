@@ -18,10 +18,11 @@ from turbseg_ros.segmentation.frame import Frame, SegmentationResult
 from turbseg_ros.segmentation.pipeline import MotionSegmenter
 
 SIZE = (1920, 1080)
+# Two of the periods in which motion is measured once.
 WARM_UP, FRAMES = 16, 8
 # Processor time of a frame over that of a DIS flow. It is about half of that on a machine that
 # does nothing else; where memory is contended for, flow, which fits into the cache, suffers less.
-LIMIT = 14.0
+LIMIT = 8.0
 
 
 def seconds(action: Callable[[], object]) -> float:
@@ -51,4 +52,4 @@ def test_a_full_hd_frame_takes_no_more_than_so_many_flows() -> None:
         pair = greys[number], greys[number + 1]
         flows.append(seconds(functools.partial(dis.calc, *pair, None)))
     assert any(result.objects for result in results)
-    assert np.median(pushes) < LIMIT * np.median(flows)
+    assert np.mean(pushes) < LIMIT * np.mean(flows)

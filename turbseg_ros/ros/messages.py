@@ -32,10 +32,9 @@ _OUTLINE_TOLERANCE = 0.5
 # Subscribers learn that they missed a message after some amount of data (images: at once), or by
 # Fast DDS' heartbeat every three seconds. Small messages have to be kept for so long at 30 Hz.
 _SMALL_DEPTH = 100
-# When a stream pauses, all frames of the look-ahead are answered at once.
-_IMAGE_DEPTH = 20
-# All else can be told from the labels: whoever records them may stall for a second.
-_LABELS_DEPTH = 30
+# Whoever records may stall for a second; and when a stream pauses, all frames that wait for later
+# ones are answered at once.
+_IMAGE_DEPTH = 30
 
 
 def header_of(frame: Frame) -> Header:
@@ -287,7 +286,7 @@ class Output:
 def outputs(max_objects: int, markers: CentroidMarkers) -> tuple[Output, ...]:
     """Give the topics that hold what was found; `markers` are those of this stream of results."""
     return (
-        Output("labels", Image, labels_message, depth=_LABELS_DEPTH),
+        Output("labels", Image, labels_message),
         Output("mask", Image, mask_message),
         Output("centroids", MarkerArray, markers.message, stateful=True, depth=_SMALL_DEPTH),
         Output("annotations", ImageMarker, annotations_message, depth=_SMALL_DEPTH),

@@ -123,8 +123,8 @@ def _estimate(
     visible = np.isfinite(uncertainty)
     motion_map = geometry.lengths(*cv2.split(velocity))
     unit = _robust_deviation((_sample(motion_map) / _sample(uncertainty))[_sample(visible)])
+    uncertainty = np.where(visible, uncertainty, np.float32(1.0))
     noise = np.maximum(np.float32(unit) * uncertainty, np.float32(_LEAST_NOISE))
-    noise[~visible] = max(unit, _LEAST_NOISE)
     return MotionEstimate(
         velocity=velocity,
         motion_map=motion_map,
