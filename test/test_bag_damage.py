@@ -129,6 +129,22 @@ def test_a_damaged_index_is_done_without(bag: Path, caplog: pytest.LogCaptureFix
     assert "has a damaged index" in caplog.text
 
 
+def test_an_index_whose_last_message_comes_before_its_first_is_done_without(
+    bag: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    content = content_of(bag)
+    # Statistics, opcode 11: six counts of 26 bytes in all, then the first and the last time.
+    (offset,) = struct.unpack_from("<Q", content, len(content) - 28)
+    while content[offset] != 11:
+        offset += 9 + struct.unpack_from("<Q", content, offset + 1)[0]
+    first, last = struct.unpack_from("<QQ", content, offset + 35)
+    struct.pack_into("<QQ", content, offset + 35, last, first)
+    content[-12:-8] = bytes(4)  # no checksum
+    reader = BagReader(put(bag, content))
+    assert reader.duration_ns == last - first == CHUNKS - 1
+    assert "has a damaged index" in caplog.text
+
+
 @pytest.mark.parametrize("index_types", [IndexType.NONE, IndexType.ALL])
 @pytest.mark.parametrize("compression", list(CompressionType))
 @pytest.mark.parametrize("chunked", [True, False])

@@ -227,6 +227,8 @@ def _indexed(path: Path, summary: Summary) -> McapFile:
         or statistics.message_count > MOST_MESSAGES
     ):
         raise _DamageError("its counts contradict one another")
+    if statistics.message_end_time < statistics.message_start_time:
+        raise _DamageError("its last message comes before its first")
     if not counts.keys() <= summary.channels.keys():
         raise _DamageError("it counts messages of channels that it doesn't name")
     compressions = {index.compression for index in summary.chunk_indexes}
