@@ -157,6 +157,14 @@ def test_frames_wait_for_the_announced_look_ahead(mode: str) -> None:
     assert len(segmenter.flush()) == segmenter.look_ahead
 
 
+@pytest.mark.parametrize("mode", ["centred", "causal"])
+def test_motion_may_be_measured_less_often_than_frames_are_compared_over(mode: str) -> None:
+    seldom = {"latency.mode": mode, "flow.interval": 1, "flow.every": 8, "outline.key_step": 5}
+    found = segmented(CLIP, PARAMETERS.replace(seldom))
+    assert stamps(found) == list(range(len(CLIP)))
+    assert_sound(found)
+
+
 def test_without_look_ahead_the_square_is_found_all_the_same() -> None:
     found = segmented(CLIP, PARAMETERS.replace({"latency.mode": "causal"}))
     overlap = [jaccard(r.labels > 0, SCENE.truth(k)) for k, r in enumerate(found)]

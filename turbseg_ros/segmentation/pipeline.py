@@ -102,7 +102,8 @@ class MotionSegmenter:
         """Forget all frames and end all objects; ids go on."""
         p = self._parameters
         self._window = FrameWindow(
-            reach=_LONG * p.flow.interval,
+            # The frame in which motion was measured last is looked back to, too.
+            reach=max(_LONG * p.flow.interval, p.flow.every),
             look_ahead=self._look_ahead,
             warm_up=0 if p.latency.mode == "causal" else p.latency.warm_up,
             memory=p.outline.memory,

@@ -156,7 +156,7 @@ class FrameWindow:
     ) -> None:
         """Set up an empty window.
 
-        :param reach: the largest interval between a frame and a neighbour.
+        :param reach: the largest interval over which a frame is looked back to.
         :param look_ahead: frames after a frame that must be there before it is segmented.
         :param memory: age in frames up to which key frames are kept.
         :param key_step: every how many frames one is kept as a key frame.
