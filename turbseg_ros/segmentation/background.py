@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from turbseg_ros.segmentation.exposure import AS_IT_IS, Exposure
-from turbseg_ros.segmentation.geometry import scaling, translation
+from turbseg_ros.segmentation.geometry import scaling, translation, upper_median
 from turbseg_ros.segmentation.outline import Box, Outline
 
 Map = npt.NDArray[np.float32]
@@ -223,10 +223,7 @@ def _usual_spread(background: Background) -> float:
     channels = background.spread.shape[2]
     spread = background.spread.reshape(-1, channels)[::_SPREAD_STEP]
     known = spread[background.known.ravel()[::_SPREAD_STEP]].ravel()
-    if not known.size:
-        return 0.0
-    middle = known.size // 2
-    return float(np.partition(known, middle)[middle])
+    return upper_median(known) if known.size else 0.0
 
 
 def largest(values: Map) -> Map:

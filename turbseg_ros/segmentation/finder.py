@@ -37,7 +37,7 @@ class MotionFinder:
         self._flow = flow
         self._executor = ThreadPoolExecutor(threads, thread_name_prefix="flow")
         self._finder = ThreadPoolExecutor(1, thread_name_prefix="motion")
-        self.reset()
+        self._ordered: dict[int, Future[Moving | None]] = {}
 
     @property
     def device(self) -> str:
@@ -46,9 +46,9 @@ class MotionFinder:
 
     def reset(self) -> None:
         """Forget what was ordered."""
-        for found in getattr(self, "_ordered", {}).values():
+        for found in self._ordered.values():
             found.cancel()
-        self._ordered: dict[int, Future[Moving | None]] = {}
+        self._ordered.clear()
 
     def __contains__(self, index: int) -> bool:
         return index in self._ordered

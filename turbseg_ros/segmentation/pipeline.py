@@ -247,7 +247,7 @@ class MotionSegmenter:
         return (p.flow.every + 1) // 2 if p.latency.mode == "causal" else 0
 
     def _is_due(self, centre: int) -> bool:
-        """Tell whether motion is to be measured in a frame, for none can be carried along."""
+        """Tell whether motion is to be measured in a frame: in turn, or as none can be carried."""
         if centre % self._parameters.flow.every == 0:
             return True
         can_be_carried = self._moving is not None and self._window[centre].continues
