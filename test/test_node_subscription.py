@@ -1,14 +1,19 @@
 """Subscribing as publishers offer; node and publishers in one process, over localhost."""
 
+import gc
 import itertools
+import time
 
 import pytest
-from node_harness import BEST_EFFORT, RELIABLE, Probe
+from node_harness import BEST_EFFORT, RELIABLE, TIMEOUT, Probe
 from rclpy.node import Node
 from rclpy.qos import ReliabilityPolicy
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import Image
 from std_msgs.msg import Int32
 
 from turbseg_ros.parameters import ParameterError
+from turbseg_ros.ros.serialised import image_view
 from turbseg_ros.ros.subscription import (
     MatchingSubscription,
     SequenceNumbers,
@@ -60,33 +65,38 @@ def probe(only_probe):
 @pytest.fixture
 def subscribe(probe):
     """Make a matching subscription on a fresh topic, in a node started with arguments."""
-    nodes = []
+    made = []
     topics = itertools.count()
 
-    def subscribe(*arguments, reliability="auto"):
+    def subscribe(*arguments, reliability="auto", kind=Int32):
         node = Node(
             "listener",
             context=probe.context,
             cli_args=["--ros-args", *arguments],
             automatically_declare_parameters_from_overrides=True,
         )
-        nodes.append(node)
         probe.add_node(node)
         received, lost = [], []
         subscription = MatchingSubscription(
             node,
-            Int32,
+            kind,
             f"numbers_{next(topics)}",
             received.append,
             depth=10,
             reliability=reliability,
             on_lost=lost.append,
         )
+        made.append((node, subscription))
         return subscription, received, lost
 
     yield subscribe
-    for node in nodes:
+    for node, subscription in made:
+        subscription.destroy()
         node.destroy_node()
+
+
+def numbers(received):
+    return [deserialize_message(bytes(message), Int32).data for message in received]
 
 
 def wait_for_match(probe, subscription, reliability):
@@ -104,7 +114,7 @@ def test_changes_over_when_publishers_change(probe, subscribe):
     wait_for_match(probe, subscription, ReliabilityPolicy.BEST_EFFORT)
     probe.wait_for(weak.get_subscription_count, "the best-effort publisher to be heard")
     weak.publish(Int32(data=1))
-    probe.wait_for(lambda: [message.data for message in received] == [1], "a message")
+    probe.wait_for(lambda: numbers(received) == [1], "a message")
     probe.withdraw(weak)
     probe.wait_for(lambda: subscription.publisher_count == 0, "the publisher to go")
     subscription.match()
@@ -134,16 +144,44 @@ def test_a_forced_reliability_stays(probe, subscribe, arguments, reliability, ex
     assert subscription.reliability == expected
 
 
-def test_a_publisher_that_is_not_heard_is_reported(probe, subscribe, capfd):
+def test_a_publisher_that_is_not_heard_is_reported_once(probe, subscribe, capfd):
     subscription, _, _ = subscribe(reliability="reliable")
     probe.advertise(subscription.topic, Int32, BEST_EFFORT, heard=False)
     printed = []
 
     def warned():
+        subscription.match()
         printed.append(capfd.readouterr().err)
         return "offers less than reliable" in "".join(printed)
 
     probe.wait_for(warned, "a warning")
+    subscription.match()
+    printed.append(capfd.readouterr().err)
+    assert "".join(printed).count("offers less than reliable") == 1
+
+
+def test_messages_are_received_while_no_executor_runs(probe, subscribe):
+    subscription, received, _ = subscribe()
+    publisher = probe.advertise(subscription.topic, Int32)
+    for number in range(5):
+        publisher.publish(Int32(data=number))
+    until = time.monotonic() + TIMEOUT
+    while len(received) < 5 and time.monotonic() < until:
+        time.sleep(0.01)
+    assert numbers(received) == [0, 1, 2, 3, 4]
+
+
+def test_what_was_received_stays_when_more_comes(probe, subscribe):
+    subscription, kept, _ = subscribe(kind=Image)
+    publisher = probe.advertise(subscription.topic, Image)
+    for number in range(5):
+        image = Image(height=1, width=100_000, step=100_000, encoding="mono8")
+        image.data.frombytes(bytes([number]) * 100_000)
+        publisher.publish(image)
+    probe.wait_for(lambda: len(kept) == 5, "all images")
+    gc.collect()
+    data = [bytes(image_view(serialised).data) for serialised in kept]
+    assert data == [bytes([number]) * 100_000 for number in range(5)]
 
 
 @pytest.mark.parametrize("override", ["reliability:=perfect", "history:=all", "depth:=deep"])
@@ -159,6 +197,6 @@ def test_what_the_middleware_dropped_is_counted(probe, subscribe):
     probe.wait_for(lambda: len(received) == 1, "the first message")
     for number in range(1, 31):
         publisher.publish(Int32(data=number))
-    probe.wait_for(lambda: received[-1].data == 30, "the last message")
+    probe.wait_for(lambda: numbers(received)[-1] == 30, "the last message")
     assert len(received) < 31
     assert len(received) + sum(lost) == 31

@@ -1,4 +1,8 @@
-"""Fuzz the way from a message to a picture: a frame that the method takes, or a refusal."""
+"""Fuzz the way from a message to a picture: a frame that the method takes, or a refusal.
+
+An input that begins with S or C is a serialised image or compressed image, any other makes the
+fields of a message.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +12,11 @@ import atheris
 
 with atheris.instrument_imports(include=["turbseg_ros"]):
     from turbseg_ros.ros import image_conversion
-    from turbseg_ros.ros.image_conversion import ImageConversionError, frame_from_message
+    from turbseg_ros.ros.image_conversion import (
+        ImageConversionError,
+        frame_from_message,
+        frame_from_serialised,
+    )
     from turbseg_ros.segmentation.tone import ToneMap
 
 import numpy as np
@@ -40,9 +48,13 @@ def message_of(provider: atheris.FuzzedDataProvider) -> Image | CompressedImage:
 
 
 def try_one(data: bytes) -> None:
-    message = message_of(atheris.FuzzedDataProvider(data))
+    kind = {b"S": Image, b"C": CompressedImage}.get(data[:1])
+    message = None if kind else message_of(atheris.FuzzedDataProvider(data))
     try:
-        frame = frame_from_message(message)
+        if kind is None:
+            frame = frame_from_message(message)
+        else:
+            frame = frame_from_serialised(memoryview(data)[1:], kind)
     except ImageConversionError as error:
         assert "\n" not in str(error)
         return

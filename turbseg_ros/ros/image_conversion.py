@@ -5,7 +5,7 @@ from __future__ import annotations
 import reprlib
 import sys
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import cv2
 import numpy as np
@@ -13,7 +13,16 @@ import numpy.typing as npt
 from builtin_interfaces.msg import Time
 from sensor_msgs.msg import CompressedImage, Image
 
+from turbseg_ros.ros.serialised import (
+    CompressedImageView,
+    ImageView,
+    SerialisedDataError,
+    compressed_image_view,
+    image_view,
+)
 from turbseg_ros.segmentation.frame import Frame
+
+AnyImage: TypeAlias = Image | CompressedImage | ImageView | CompressedImageView
 
 _NANOSECONDS = 1_000_000_000
 
@@ -99,7 +108,19 @@ _PLAIN = {
 }
 
 
-def frame_from_message(message: Image | CompressedImage) -> Frame:
+def frame_from_serialised(message: memoryview, kind: type[Image] | type[CompressedImage]) -> Frame:
+    """Give the frame that a serialised message of a kind holds; see `frame_from_message`.
+
+    :raises ImageConversionError: also when it is no message of that kind.
+    """
+    read = compressed_image_view if kind is CompressedImage else image_view
+    try:
+        return frame_from_message(read(message))
+    except SerialisedDataError as error:
+        raise ImageDataError(f"image {error}") from error
+
+
+def frame_from_message(message: AnyImage) -> Frame:
     """Give the frame that a camera's message holds, as the method takes it.
 
     :raises ImageConversionError: as `image_from_message`, and for a stamp whose nanoseconds make
@@ -111,7 +132,7 @@ def frame_from_message(message: Image | CompressedImage) -> Frame:
     return Frame(stamp_to_ns(header.stamp), image_from_message(message), header.frame_id)
 
 
-def image_from_message(message: Image | CompressedImage) -> npt.NDArray[Any]:
+def image_from_message(message: AnyImage) -> npt.NDArray[Any]:
     """Give a message's image: HxW (grey) or HxWx3 (BGR), uint8, uint16 or float32.
 
     Where nothing needs converting, the array is a view of the message's own data, its rows apart
@@ -120,7 +141,7 @@ def image_from_message(message: Image | CompressedImage) -> npt.NDArray[Any]:
     :raises ImageConversionError: for an encoding that is not known, a size, step or length of data
         that can't be, or compressed data that can't be decoded.
     """
-    if isinstance(message, CompressedImage):
+    if isinstance(message, CompressedImage | CompressedImageView):
         return _decoded(message)
     layout = _LAYOUTS.get(message.encoding)
     if layout is None:
@@ -185,7 +206,7 @@ def ns_to_stamp(nanoseconds: int) -> Time:
     return Time(sec=sec, nanosec=nanosec)
 
 
-def _pixels(message: Image, layout: _Layout) -> npt.NDArray[Any]:
+def _pixels(message: Image | ImageView, layout: _Layout) -> npt.NDArray[Any]:
     """View a message's data as HxW or HxWxC, in the byte order that it has."""
     height, width, step = message.height, message.width, message.step
     _check_size(message, layout)
@@ -207,7 +228,7 @@ def _pixels(message: Image, layout: _Layout) -> npt.NDArray[Any]:
     return pixels[:, :, 0] if layout.channels == 1 else pixels
 
 
-def _check_size(message: Image, layout: _Layout) -> None:
+def _check_size(message: Image | ImageView, layout: _Layout) -> None:
     size = f"image of {message.width}x{message.height} pixels"
     if min(message.height, message.width) == 0:
         raise ImageSizeError(f"{size} is empty")
@@ -221,7 +242,7 @@ def _native(pixels: npt.NDArray[Any]) -> npt.NDArray[Any]:
     return pixels.astype(pixels.dtype.newbyteorder("="), copy=not whole_steps)
 
 
-def _decoded(message: CompressedImage) -> npt.NDArray[Any]:
+def _decoded(message: CompressedImage | CompressedImageView) -> npt.NDArray[Any]:
     data = np.frombuffer(memoryview(message.data), np.uint8)
     what = f"compressed image (format {reprlib.repr(message.format)}, {data.size} bytes)"
     flags = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR | cv2.IMREAD_IGNORE_ORIENTATION

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -16,7 +17,7 @@ from std_srvs.srv import SetBool, Trigger
 from turbseg_ros.factory import motion_segmenter
 from turbseg_ros.parameters import ParameterError, Parameters
 from turbseg_ros.ros.diagnostics import Event, NodeState, Statistics, status_message
-from turbseg_ros.ros.image_conversion import frame_from_message
+from turbseg_ros.ros.image_conversion import frame_from_serialised
 from turbseg_ros.ros.messages import CentroidMarkers, UnitDepthPlane, outputs, views
 from turbseg_ros.ros.parameters import ParameterHandler
 from turbseg_ros.ros.publishers import ResultPublisher
@@ -42,7 +43,7 @@ class TurbsegNode(Node):  # type: ignore[misc]  # rclpy is read as untyped
 
     Subscribes to `image_raw` and, if there is one, `camera_info`; publishes results below its
     own name and `/diagnostics`; serves `~/reset` and `~/enable`. Callbacks only take note: images
-    are segmented in a thread of their own, which `destroy_node` ends.
+    are received in one thread and segmented in another, which `destroy_node` ends.
 
     :raises ParameterError: when a parameter that it was started with is refused, or fits recorded
         clips only.
@@ -54,6 +55,8 @@ class TurbsegNode(Node):  # type: ignore[misc]  # rclpy is read as untyped
         parameters = self._parameter_handler.current
         _refuse_whole_clip(parameters)
 
+        compressed = parameters.image_transport == "compressed"
+        self._image_type: type[Any] = CompressedImage if compressed else Image
         self._statistics = Statistics()
         self._markers = CentroidMarkers()
         self._results = ResultPublisher(
@@ -62,7 +65,7 @@ class TurbsegNode(Node):  # type: ignore[misc]  # rclpy is read as untyped
         self._segmenter = motion_segmenter(parameters)
         self._worker = SegmentationWorker(
             self._segmenter,
-            convert=frame_from_message,
+            convert=functools.partial(frame_from_serialised, kind=self._image_type),
             publish=self._results.publish,
             now=lambda: self.get_clock().now().nanoseconds,
             statistics=self._statistics,
@@ -87,6 +90,8 @@ class TurbsegNode(Node):  # type: ignore[misc]  # rclpy is read as untyped
 
     def destroy_node(self) -> None:
         """Answer the frames at hand, then take the node out of the graph."""
+        if self._images is not None:
+            self._images.destroy()
         self._worker.stop()
         # What a busy listener has not got by now would go with the publishers.
         self._results.wait_until_received(_FAREWELL)
@@ -94,14 +99,13 @@ class TurbsegNode(Node):  # type: ignore[misc]  # rclpy is read as untyped
 
     def _subscribe(self) -> MatchingSubscription:
         parameters = self._parameter_handler.current
-        message_type: type[Any] = Image
         # Resolved first, so that remapping image_raw moves the compressed topic along.
         topic = self.resolve_topic_name("image_raw")
-        if parameters.image_transport == "compressed":
-            message_type, topic = CompressedImage, f"{topic}/compressed"
+        if self._image_type is CompressedImage:
+            topic = f"{topic}/compressed"
         return MatchingSubscription(
             self,
-            message_type,
+            self._image_type,
             topic,
             self._worker.submit,
             depth=max(parameters.queue_size, _LEAST_DEPTH),

@@ -1,17 +1,28 @@
-"""Subscribing to a topic as its publishers offer it."""
+"""Subscribing to a topic as its publishers offer it, and receiving beside all else."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+import threading
+from collections.abc import Callable, Iterable
 from typing import Any
 
-from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
+from rclpy.callback_groups import CallbackGroup
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.guard_condition import GuardCondition
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
-from rclpy.qos import QoSPolicyKind, QoSProfile, ReliabilityPolicy
+from rclpy.qos import (
+    QoSCompatibility,
+    QoSPolicyKind,
+    QoSProfile,
+    ReliabilityPolicy,
+    qos_check_compatible,
+)
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 
 from turbseg_ros.parameters import ParameterError
+from turbseg_ros.ros.taking import Taken, TakingError, take
 
 _FORCED = {
     "reliable": ReliabilityPolicy.RELIABLE,
@@ -33,10 +44,11 @@ def strictest_reliability(offered: Iterable[QoSProfile]) -> ReliabilityPolicy:
 class MatchingSubscription:
     """A subscription whose reliability follows what the topic's publishers offer.
 
-    `match` looks at them and, when they have changed, subscribes anew: call it regularly.
-    `reliability` is `auto` to match, or `reliable` or `best_effort` to force. ROS' own QoS
-    overrides (``qos_overrides.<topic>.subscription.*``) go before both. `on_lost` is told how
-    many messages never came, where the middleware numbers them (Fast DDS does).
+    Messages are received in a thread of its own, which hands them to `callback` serialised, as
+    they came. `match` looks at the publishers and, when they have changed, subscribes anew: call
+    it regularly. `reliability` is `auto` to match, or `reliable` or `best_effort` to force. ROS'
+    own QoS overrides (``qos_overrides.<topic>.subscription.*``) go before both. `on_lost` is told
+    how many messages never came, where the middleware numbers them (Fast DDS does).
 
     :raises ParameterError: when ROS refuses the QoS overrides.
     """
@@ -46,7 +58,7 @@ class MatchingSubscription:
         node: Node,
         message_type: type[Any],
         topic: str,
-        callback: Callable[[Any], None],
+        callback: Callable[[memoryview], None],
         *,
         depth: int,
         reliability: str,
@@ -63,8 +75,10 @@ class MatchingSubscription:
         self._overridden = node.has_parameter(
             f"qos_overrides.{self.topic}.subscription.reliability"
         )
+        self._unheard: set[bytes] = set()
         first = self._wanted_reliability(ReliabilityPolicy.RELIABLE)
         self._subscription = self._subscribe(first)
+        self._reception = _Reception(node, self._subscription, self._receive)
 
     @property
     def reliability(self) -> ReliabilityPolicy:
@@ -77,18 +91,24 @@ class MatchingSubscription:
         return int(self._node.count_publishers(self.topic))
 
     def match(self) -> None:
-        """Subscribe anew if the publishers offer another reliability than the one in force."""
+        """Subscribe anew if the publishers offer another reliability than the one in force.
+
+        Where that is forced, those who offer less are warned about, each once.
+        """
         wanted = self._wanted_reliability(self.reliability)
         if wanted == self.reliability or self._overridden:
+            self._warn_of_unheard()
             return
         self._node.get_logger().info(
             f"subscribing to {self.topic} as {wanted.name.lower()}, as its publishers offer"
         )
         self.destroy()
         self._subscription = self._subscribe(wanted)
+        self._reception = _Reception(self._node, self._subscription, self._receive)
 
     def destroy(self) -> None:
-        """Stop listening."""
+        """Stop listening; no message is handed on after that."""
+        self._reception.stop()
         self._node.destroy_subscription(self._subscription)
 
     def _wanted_reliability(self, current: ReliabilityPolicy) -> ReliabilityPolicy:
@@ -105,12 +125,11 @@ class MatchingSubscription:
             return self._node.create_subscription(
                 self._message_type,
                 self.topic,
-                self._receive,
+                _left_to_reception,
                 QoSProfile(depth=self._depth, reliability=reliability),
+                callback_group=_ReceivedElsewhere(),
                 qos_overriding_options=self._overriding_options(),
-                event_callbacks=SubscriptionEventCallbacks(
-                    incompatible_qos=self._warn_of_incompatible_qos
-                ),
+                event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
             )
         except (RuntimeError, AssertionError) as error:
             # What rclpy raises for an override that is no such policy or of the wrong type.
@@ -125,21 +144,84 @@ class MatchingSubscription:
         # A parameter for the reliability would pin the first match for good.
         return QoSOverridingOptions((QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH))
 
-    def _warn_of_incompatible_qos(self, _event: QoSRequestedIncompatibleQoSInfo) -> None:
-        if self._forced is None and not self._overridden:
-            # The next match mends it.
-            return
-        self._node.get_logger().warning(
-            f"a publisher of {self.topic} offers less than {self.reliability.name.lower()}, so it "
-            "is not heard; qos.reliability: auto takes what is offered"
-        )
+    def _warn_of_unheard(self) -> None:
+        # Asked for here: a subscription's events would wake the executor for every message.
+        unheard = {
+            bytes(publisher.endpoint_gid)
+            for publisher in self._node.get_publishers_info_by_topic(self.topic)
+            if not self._hears(publisher.qos_profile)
+        }
+        if unheard - self._unheard:
+            self._node.get_logger().warning(
+                f"a publisher of {self.topic} offers less than {self.reliability.name.lower()}, "
+                "so it is not heard; qos.reliability: auto takes what is offered"
+            )
+        self._unheard = unheard
 
-    def _receive(self, message: Any, info: Mapping[str, int | None]) -> None:
-        missing = self._numbers.missing_before(info["publication_sequence_number"])
+    def _hears(self, offered: QoSProfile) -> bool:
+        compatibility, _ = qos_check_compatible(offered, self._subscription.qos_profile)
+        return bool(compatibility != QoSCompatibility.ERROR)
+
+    def _receive(self, taken: Taken) -> None:
+        missing = self._numbers.missing_before(taken.number)
         # Each publisher counts for itself, so that two can't be told from one that lost some.
         if missing and self.publisher_count == 1:
             self._on_lost(missing)
-        self._callback(message)
+        self._callback(taken.data)
+
+
+class _ReceivedElsewhere(CallbackGroup):  # type: ignore[misc]  # rclpy is read as untyped
+    """Keeps executors from a subscription."""
+
+    def can_execute(self, entity: Any) -> bool:
+        return False
+
+
+def _left_to_reception(_message: Any) -> None:
+    raise AssertionError("an executor took a message that is received elsewhere")
+
+
+class _Reception:
+    """A thread that takes a subscription's messages as they come."""
+
+    def __init__(
+        self, node: Node, subscription: Subscription, receive: Callable[[Taken], None]
+    ) -> None:
+        self._node = node
+        self._subscription = subscription
+        self._receive = receive
+        self._stopping = False
+        self._wake = GuardCondition(None, None, context=node.context)
+        self._thread = threading.Thread(target=self._run, name="reception", daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the thread."""
+        self._stopping = True
+        self._wake.trigger()
+        self._thread.join()
+        self._wake.destroy()
+
+    def _run(self) -> None:
+        context, handle = self._node.context.handle, self._subscription.handle
+        with context, handle, self._wake.handle:
+            wait_set = rclpy_implementation.WaitSet(1, 1, 0, 0, 0, 0, context)
+            with wait_set:
+                while not self._stopping:
+                    wait_set.clear_entities()
+                    wait_set.add_subscription(handle)
+                    wait_set.add_guard_condition(self._wake.handle)
+                    wait_set.wait(-1)
+                    self._take(handle)
+
+    def _take(self, handle: Any) -> None:
+        try:
+            taken = take(handle)
+        except TakingError as error:
+            self._node.get_logger().error(str(error), throttle_duration_sec=5.0)
+            return
+        if taken is not None:
+            self._receive(taken)
 
 
 class SequenceNumbers:
