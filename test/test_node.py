@@ -38,7 +38,12 @@ from turbseg_ros.ros.image_conversion import image_from_message, message_from_im
 from turbseg_ros.segmentation.frame import Frame
 
 # Small enough to keep up on a busy machine; nothing is ever dropped.
-SETTINGS = {"resolution.processing": 160, "resolution.detail": 160, "queue_size": 500}
+SETTINGS = {
+    "resolution.processing": 160,
+    "resolution.detail": 160,
+    "queue_size": 500,
+    "latency.haste_from": 501,
+}
 ARGUMENTS = [item for name, value in SETTINGS.items() for item in ("-p", f"{name}:={value}")]
 
 

@@ -70,6 +70,16 @@ def run_for_a_second(statistics, clock, frames=20):
         statistics.answered(RESULT, since_stamp=0.2, since_arrival=0.001 * (number + 1))
 
 
+def test_tells_how_many_were_answered_in_haste(statistics, clock):
+    run_for_a_second(statistics, clock)
+    for coasted in (True, False, True):
+        statistics.answered(replace(RESULT, coasted=coasted), since_stamp=0.2, since_arrival=0.1)
+    message = status(statistics.take())
+    assert (message.level, message.message) == (OK, "2 images answered in haste")
+    assert figures(message)["images answered in haste"] == "2"
+    assert figures(message)["images answered"] == "23"
+
+
 def test_reports_rates_latencies_and_what_was_seen(statistics, clock):
     run_for_a_second(statistics, clock)
     message = status(statistics.take())

@@ -22,12 +22,14 @@ class DelayedSegmenter:
 
     def __init__(self):
         self.calls = []
+        self.hurried = []
         self.gate = threading.Event()
         self.gate.set()
         self.fail_at = ()
         self._window = []
 
-    def push(self, frame):
+    def push(self, frame, in_haste=False):
+        self.hurried.append(in_haste)
         self.gate.wait(5.0)
         self.calls.append(frame.stamp)
         if frame.stamp in self.fail_at:
@@ -84,6 +86,7 @@ class Harness:
             statistics=self.statistics,
             logger=self.logger,
             queue_size=queue_size,
+            haste_from=3,
         )
         self.worker.start()
 
@@ -150,6 +153,25 @@ def test_keeps_the_newest_images_when_too_many_wait():
     harness.finish()
     assert harness.answered == [0, *stamps(3, 8 * PERIOD)]
     assert harness.totals()[Event.DROPPED] == 7
+
+
+def test_hurries_while_many_images_wait(harness):
+    harness.segmenter.gate.clear()
+    harness.submit(0)
+    while harness.worker.waiting:
+        time.sleep(0.001)
+    harness.submit(*stamps(6, PERIOD))
+    harness.segmenter.gate.set()
+    harness.finish()
+    # After the one that is waited for, five, four, three... wait behind each.
+    assert harness.segmenter.hurried == [False, True, True, True, False, False, False]
+
+
+def test_when_to_hurry_can_be_changed(harness):
+    harness.worker.reconfigure(Parameters.from_mapping({"latency.haste_from": 0}))
+    harness.submit(*stamps(2))
+    harness.finish()
+    assert harness.segmenter.hurried == [True, True]
 
 
 def test_an_image_that_cannot_be_read_is_skipped(harness):

@@ -81,6 +81,38 @@ def test_a_moving_square_is_found_and_keeps_its_id(results: list[SegmentationRes
     assert_sound(results)
 
 
+def test_in_haste_the_square_is_carried_along_between_measurements() -> None:
+    segmenter = MotionSegmenter(PARAMETERS)
+    results = [result for frame in frames(CLIP) for result in segmenter.push(frame, in_haste=True)]
+    results += segmenter.flush()
+    assert_sound(results)
+    every = PARAMETERS.flow.every
+    coasted = [result.frame.stamp for result in results if result.coasted]
+    assert coasted == [stamp for stamp in stamps(results) if stamp % every]
+    assert len(ids(results)) == 1
+    for number, result in enumerate(results[10:-2], 10):
+        assert jaccard(result.labels > 0, SCENE.truth(number)) > 0.7
+
+
+def test_in_haste_or_not_is_chosen_frame_by_frame() -> None:
+    segmenter = MotionSegmenter(PARAMETERS.replace({"latency.warm_up": 0}))
+    results = []
+    for number, frame in enumerate(frames(CLIP)):
+        results += segmenter.push(frame, in_haste=number >= 20)
+    results += segmenter.flush()
+    coasted = [result.frame.stamp for result in results if result.coasted]
+    # What is segmented when a frame comes is one so many frames before it.
+    first = 20 - PARAMETERS.flow.interval - PARAMETERS.flow.every
+    expected = [number for number in range(first, 30) if number % PARAMETERS.flow.every]
+    assert coasted == expected
+    assert len(ids(results)) == 1
+
+
+def test_always_in_haste_by_parameter() -> None:
+    results = segmented(CLIP, PARAMETERS.replace({"latency.haste_from": 0}))
+    assert any(result.coasted for result in results)
+
+
 def test_an_object_is_described_as_it_is_labelled(results: list[SegmentationResult]) -> None:
     for result in results[4:]:
         (moving,) = result.objects

@@ -392,6 +392,44 @@ def painted(candidates: Iterable[Candidate]) -> np.ndarray:
 
 
 @settings(max_examples=30, deadline=None)
+def in_haste(tracker: ObjectTracker, frame: int, candidate: Candidate) -> list[Observation]:
+    """Look for a candidate in every fourth frame only."""
+    if frame % 4:
+        return tracker.coast(STILL_CAMERA, (200, 400))
+    return update(tracker, [candidate])
+
+
+def test_an_object_that_is_seen_in_every_fourth_frame_is_carried_along_between() -> None:
+    tracker = tracker_of()
+    for frame in range(40):
+        there = crossing(frame, (30.0, 40.0), (3.0, 1.0))
+        observation = only(in_haste(tracker, frame, there))
+        assert observation.track.id == (1 if frame >= 4 else 0)
+        assert jaccard(
+            observation.candidate.outline.in_frame((200, 400)), there.outline.in_frame((200, 400))
+        ) > (0.8 if frame >= 8 else 0.5)
+
+
+def test_what_changes_its_shape_becomes_no_object_by_being_carried_along() -> None:
+    tracker = tracker_of()
+    for frame in range(40):
+        wide = frame % 8 == 0
+        there = crossing(
+            frame, (30.0, 40.0), (1.0, 0.0), width=40 if wide else 8, height=6 if wide else 40
+        )
+        for observation in in_haste(tracker, frame, there):
+            assert not observation.track.confirmed
+
+
+def test_an_object_that_is_carried_out_of_the_frame_is_not_seen_there() -> None:
+    tracker = tracker_of()
+    for frame in range(8):
+        update(tracker, [crossing(frame, (360.0, 40.0), (3.0, 0.0))])
+    seen_in = [len(tracker.coast(STILL_CAMERA, (200, 400))) for _ in range(12)]
+    assert seen_in[0] == 1
+    assert seen_in[-1] == 0
+
+
 @given(seed=st.integers(0, 10_000))
 def test_whatever_is_seen_ids_and_slots_are_unique(seed: int) -> None:
     random = np.random.default_rng(seed)

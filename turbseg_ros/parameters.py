@@ -140,6 +140,14 @@ class LatencyParameters:
         maximum=300,
         read_only=True,
     )
+    haste_from: int = parameter(
+        2,
+        "Images that wait when the node begins to hurry: between measurements of motion it then "
+        "carries objects along instead of outlining them. 0: always; more than queue_size: never.",
+        unit="frames",
+        minimum=0,
+        maximum=1001,
+    )
 
 
 @dataclass(frozen=True)

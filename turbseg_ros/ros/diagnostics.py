@@ -25,6 +25,7 @@ class Event(enum.Enum):
 
     RECEIVED = "received"
     ANSWERED = "answered"
+    COASTED = "answered in haste"
     DROPPED = "dropped"
     LOST = "lost by the middleware"
     SKIPPED = "skipped"
@@ -78,6 +79,7 @@ class Statistics:
         """Note a published result and how long, in seconds, its frame took."""
         with self._lock:
             self._count(Event.ANSWERED, 1)
+            self._count(Event.COASTED, int(result.coasted))
             self._last = result
             self._from_stamp.append(since_stamp)
             self._from_arrival.append(since_arrival)
@@ -173,6 +175,8 @@ def _findings(report: Report, state: NodeState) -> Iterator[tuple[bytes, str]]:
         yield warn, "segmenting failed once; the log tells why"
     elif report.failures:
         yield error, f"segmenting failed {report.failures} times; the log tells why"
+    if report.events[Event.COASTED]:
+        yield ok, f"{report.events[Event.COASTED]} images {Event.COASTED.value}"
     for event in (Event.DROPPED, Event.LOST, Event.SKIPPED):
         if report.events[event]:
             yield warn, f"{report.events[event]} images {event.value}"

@@ -54,6 +54,7 @@ class _Pending:
     resolution: Resolution
     motion: MotionEstimate | None
     observations: Sequence[Observation]
+    coasted: bool = False
 
 
 @dataclass(frozen=True)
@@ -118,6 +119,7 @@ class MotionSegmenter:
         self._finder.reset()
         self._moving: Moving | None = None
         self._outlook = _Outlook(0)
+        self._in_haste = False
         self._interval = p.flow.interval
 
     @property
@@ -140,8 +142,13 @@ class MotionSegmenter:
         p = self._parameters
         return 0 if p.latency.mode == "causal" else p.flow.interval + p.flow.every
 
-    def push(self, frame: Frame) -> list[SegmentationResult]:
-        """Take the next frame; give the results that are ready, of earlier frames mostly."""
+    def push(self, frame: Frame, in_haste: bool = False) -> list[SegmentationResult]:
+        """Take the next frame; give the results that are ready, of earlier frames mostly.
+
+        :param in_haste: where motion isn't measured anew, carry objects along instead of looking
+            for them: less exact, but done sooner.
+        """
+        self._in_haste = in_haste or self._parameters.latency.haste_from == 0
         results = []
         kind = (frame.image.shape, frame.image.dtype)
         if self._kind and kind != self._kind:
@@ -157,7 +164,7 @@ class MotionSegmenter:
         if self._window.follows_cut(prepared):
             results += self.flush()
             self.reset()
-            return results + self.push(frame)
+            return results + self.push(frame, in_haste)
         self._window.append(prepared)
         self._frames[prepared.index] = frame
         return results + self._advance(ended=False)
@@ -191,16 +198,28 @@ class MotionSegmenter:
         if moving is None:
             self._identities.update([], ego_motion, 0.0)
             return _Pending(frame, self._resolution, None, [])
-        scale = self._resolution.detail_from_processing[0]
-        tilt = 0.0 if np.isnan(moving.motion.tilt) else moving.motion.tilt * scale
-        candidates = self._outlines(centre, moving, ego_motion, tilt, frame.stamp)
-        observations = self._identities.update(candidates, ego_motion, tilt)
+        coasted = self._in_haste and not moving.measured
+        observations = (
+            self._identities.coast(ego_motion, self._detail_shape)
+            if coasted
+            else self._looked_for(centre, moving, ego_motion, frame.stamp)
+        )
         shape = self._detail_shape
-        widened = [candidate.outline.widened(_GUARD, shape) for candidate in candidates]
+        widened = [seen.candidate.outline.widened(_GUARD, shape) for seen in observations]
         self._window.mark_objects(centre, widened)
         # Where nothing is cut out now, nothing will be until motion is measured again.
         self._moving = moving.where(painted(widened, shape))
-        return _Pending(frame, self._resolution, moving.motion, observations)
+        return _Pending(frame, self._resolution, moving.motion, observations, coasted)
+
+    def _looked_for(
+        self, centre: int, moving: Moving, ego_motion: Matrix, stamp: int
+    ) -> list[Observation]:
+        """Look for objects where something moves, and tell which of the known ones they are."""
+        assert self._resolution is not None
+        scale = self._resolution.detail_from_processing[0]
+        tilt = 0.0 if np.isnan(moving.motion.tilt) else moving.motion.tilt * scale
+        candidates = self._outlines(centre, moving, ego_motion, tilt, stamp)
+        return self._identities.update(candidates, ego_motion, tilt)
 
     @property
     def _detail_shape(self) -> tuple[int, int]:
@@ -431,6 +450,7 @@ def _result(pending: _Pending) -> SegmentationResult:
         ),
         tilt=float("nan") if motion is None else motion.tilt * processing_scale,
         ego_motion_model="none" if motion is None else motion.ego_motion_model,
+        coasted=pending.coasted,
     )
 
 

@@ -98,10 +98,13 @@ class Track:
         """Diagonal of the box around it."""
         return float(np.hypot(*self.candidate.box.shape))
 
-    def keeps_shape(self, frames: int, least: float) -> bool:
-        """Tell whether its masks of the last frames were alike: at least so much IoU a frame."""
+    def keeps_shape(self, frames: int, least: float, known: int = 1) -> bool:
+        """Tell whether its masks of the last frames were alike: at least so much IoU a frame.
+
+        It does while fewer than `known` were compared.
+        """
         recent = self.likeness[-frames:]
-        return len(recent) < frames or float(np.mean(recent)) >= least
+        return len(recent) < known or float(np.mean(recent)) >= least
 
     def gets_nowhere(self) -> bool:
         """Tell whether, for a good while, it has come a small part of the way that it claims."""
@@ -144,6 +147,19 @@ class Track:
         self.claims = [*self.claims, float(np.hypot(*candidate.velocity))][-_TRAIL_LENGTH:]
         self.still = 0 if candidate.moving else self.still + 1
 
+    def coast(self, ego_motion: Matrix, shape: tuple[int, int]) -> None:
+        """Take it into the next frame, of some shape, where nobody looks for it.
+
+        It is taken to be as alike, and to claim as much, as when it was last looked for.
+        """
+        expected = self.expected(ego_motion, shape)
+        self.carry(ego_motion)
+        self.candidate = expected
+        self.still += 1
+        self.hits += 1
+        self.likeness = [*self.likeness, *self.likeness[-1:]][-SHAPE_SPAN:]
+        self.claims = [*self.claims, *self.claims[-1:]][-_TRAIL_LENGTH:]
+
     def common_area(self, candidate: Candidate) -> int:
         """Count the candidate's pixels that lie where its mask is expected now."""
         expected, found = self._expected_box, candidate.box
@@ -165,15 +181,16 @@ class Track:
         distance: npt.NDArray[np.float32] = cv2.distanceTransform(free, cv2.DIST_L2, 3)
         return distance
 
-    def expected_outline(self, ego_motion: Matrix, shape: tuple[int, int]) -> Outline:
-        """Give its mask as it should be in the coming frame of some shape.
+    def expected(self, ego_motion: Matrix, shape: tuple[int, int]) -> Candidate:
+        """Give it as it should be in the coming frame of some shape.
 
         :param ego_motion: takes the last frame's pixels to the coming one's.
         """
         # The position has been carried along since the mask was last seen.
         x, y = self.position - self.candidate.centroid + np.asarray(self.velocity)
         way = ego_motion @ translation(x, y)
-        return self.candidate.outline.resampled(way, shape, cv2.INTER_NEAREST)
+        outline = self.candidate.outline.resampled(way, shape, cv2.INTER_NEAREST)
+        return Candidate(outline.box, outline.mask, self.velocity, moving=False)
 
     def observed(self) -> Observation:
         """Remember where it is now, and give what is known of it in this frame."""
@@ -226,6 +243,12 @@ class IdentityKeeper(Protocol):
 
         :param ego_motion: takes the last frame's pixels to this one's.
         :param tilt: rms turbulent motion an axis in pixels.
+        """
+
+    def coast(self, ego_motion: Matrix, shape: tuple[int, int]) -> list[Observation]:
+        """Carry what was seen along into a frame of some shape in which nothing is looked for.
+
+        :param ego_motion: takes the last frame's pixels to this one's.
         """
 
     def settle(self) -> None:

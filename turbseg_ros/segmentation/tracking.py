@@ -114,7 +114,7 @@ class ObjectTracker:
         :param ego_motion: takes the last frame's pixels to the coming one's.
         """
         return [
-            track.expected_outline(ego_motion, shape) for track in self._tracks if track.confirmed
+            track.expected(ego_motion, shape).outline for track in self._tracks if track.confirmed
         ]
 
     def update(
@@ -128,9 +128,7 @@ class ObjectTracker:
         """
         for track in self._tracks:
             track.carry(ego_motion)
-        self._restless = [
-            place.carried(ego_motion) for place in self._restless if place.age < _RESTLESS_SPAN
-        ]
+        self._carry_places(ego_motion)
         candidates = self._reunited(self._divided(candidates))
         matched = self._match(candidates, tilt)
         observations = []
@@ -149,6 +147,23 @@ class ObjectTracker:
             track.misses = 0 if id(track) in seen else track.misses + 1
         self._drop_lost()
         return observations
+
+    def coast(self, ego_motion: Matrix, shape: tuple[int, int]) -> list[Observation]:
+        """Carry all tracks along into a frame of some shape in which nothing is looked for.
+
+        :param ego_motion: takes the last frame's pixels to this one's.
+        :return: an observation for each track that was seen when last looked for.
+        """
+        for track in self._tracks:
+            track.coast(ego_motion, shape)
+        self._carry_places(ego_motion)
+        seen = [track for track in self._tracks if track.misses == 0 and track.candidate.area]
+        return [track.observed() for track in seen]
+
+    def _carry_places(self, ego_motion: Matrix) -> None:
+        self._restless = [
+            place.carried(ego_motion) for place in self._restless if place.age < _RESTLESS_SPAN
+        ]
 
     def _divided(self, candidates: Sequence[Candidate]) -> list[Candidate]:
         """Split candidates that hold several objects, say one that passes before another.
@@ -221,7 +236,7 @@ class ObjectTracker:
             if track.misses > (self._patience if track.confirmed else 1)
             or track.still > self._patience
             or track in restless
-            or not track.keeps_shape(SHAPE_SPAN, _LIKE)
+            or not track.keeps_shape(SHAPE_SPAN, _LIKE, known=SHAPE_SPAN)
         ]
         for track in lost:
             self._end(track)

@@ -65,6 +65,12 @@ class KMeansUnifier:
         self._clip.append(tracks)
         return [track.observed() for track in tracks]
 
+    def coast(self, ego_motion: Matrix, shape: tuple[int, int]) -> list[Observation]:
+        """Take the masks of the frame before, carried along, for those of this one."""
+        before = self._clip[-1] if self._clip else []
+        carried = [track.expected(ego_motion, shape) for track in before]
+        return self.update([each for each in carried if each.area], ego_motion, 0.0)
+
     def settle(self) -> None:
         """Give the clip's masks their ids."""
         counts = [len(tracks) for tracks in self._clip if tracks]
