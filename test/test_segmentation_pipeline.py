@@ -102,7 +102,7 @@ def test_in_haste_or_not_is_chosen_frame_by_frame() -> None:
     results += segmenter.flush()
     coasted = [result.frame.stamp for result in results if result.coasted]
     # What is segmented when a frame comes is one so many frames before it.
-    first = 20 - PARAMETERS.flow.interval - PARAMETERS.flow.every
+    first = 20 - PARAMETERS.flow.interval - PARAMETERS.flow.every - 1
     expected = [number for number in range(first, 30) if number % PARAMETERS.flow.every]
     assert coasted == expected
     assert len(ids(results)) == 1
@@ -181,7 +181,7 @@ def test_frames_wait_for_the_announced_look_ahead(mode: str) -> None:
     segmenter = MotionSegmenter(PARAMETERS.replace(chosen))
     # Neighbours, those of the frame measured next, and the frames until an object is
     # confirmed, which it is where motion is measured.
-    assert segmenter.look_ahead == {"centred": 4 + 4 + 3 + 3, "causal": 0}[mode]
+    assert segmenter.look_ahead == {"centred": 4 + 4 + 3 + 3 + 1, "causal": 0}[mode]
     given_out = 0
     for number, frame in enumerate(frames(CLIP[:20]), start=1):
         given_out += len(segmenter.push(frame))

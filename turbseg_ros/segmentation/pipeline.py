@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 
 import cv2
@@ -30,7 +31,7 @@ from turbseg_ros.segmentation.tone import ToneMap
 from turbseg_ros.segmentation.track import Candidate, IdentityKeeper, Observation
 from turbseg_ros.segmentation.tracking import ObjectTracker
 from turbseg_ros.segmentation.unification import KMeansUnifier
-from turbseg_ros.segmentation.window import FrameWindow, Resolution, prepare
+from turbseg_ros.segmentation.window import FrameWindow, PreparedFrame, Resolution, prepare
 
 Mask = npt.NDArray[np.bool_]
 Matrix = npt.NDArray[np.float64]
@@ -87,6 +88,7 @@ class MotionSegmenter:
         """
         self._refiner = refiner
         self._finder = MotionFinder(parameters.threads, flow)
+        self._preparer = ThreadPoolExecutor(1, thread_name_prefix="preparation")
         self._tone = ToneMap()
         self.reconfigure(parameters)
 
@@ -114,6 +116,7 @@ class MotionSegmenter:
         self._identities.reset()
         self._resolution: Resolution | None = None
         self._kind: tuple[object, ...] = ()
+        self._coming: tuple[Frame, Future[PreparedFrame]] | None = None
         self._frames: dict[int, Frame] = {}
         self._pending: deque[_Pending] = deque()
         self._finder.reset()
@@ -130,8 +133,14 @@ class MotionSegmenter:
     @property
     def look_ahead(self) -> int:
         """Frames that must follow a frame before its result is given."""
-        causal = self._parameters.latency.mode == "causal"
-        return self._look_ahead + (0 if causal else self._identities.delay)
+        if self._parameters.latency.mode == "causal":
+            return 0
+        return self._look_ahead + self._identities.delay + int(self._prepares_ahead)
+
+    @property
+    def _prepares_ahead(self) -> bool:
+        """Whether a frame is prepared beside all else, and joins the others with the next."""
+        return self._parameters.latency.mode != "causal"
 
     @property
     def _look_ahead(self) -> int:
@@ -150,28 +159,45 @@ class MotionSegmenter:
         """
         self._in_haste = in_haste or self._parameters.latency.haste_from == 0
         results = []
-        kind = (frame.image.shape, frame.image.dtype)
-        if self._kind and kind != self._kind:
+        if self._kind and _kind_of(frame) != self._kind:
             results = self.flush()
             self.reset()
-        self._kind = kind
-        if self._resolution is None:
-            sizes = self._parameters.resolution
-            self._resolution = Resolution.of(frame.image.shape, sizes.processing, sizes.detail)
-        picture = self._tone(frame.image)
-        newest = self._window.newest
-        prepared = prepare(picture, self._resolution, self._window.count, newest)
-        if self._window.follows_cut(prepared):
-            results += self.flush()
-            self.reset()
-            return results + self.push(frame, in_haste)
-        self._window.append(prepared)
-        self._frames[prepared.index] = frame
+        results += self._take_in()
+        self._prepare(frame)
+        if not self._prepares_ahead:
+            results += self._take_in()
         return results + self._advance(ended=False)
 
     def flush(self) -> list[SegmentationResult]:
         """Give the results of all frames that have none yet."""
-        return self._advance(ended=True)
+        return self._take_in() + self._advance(ended=True)
+
+    def _prepare(self, frame: Frame) -> None:
+        """Have a frame scaled and registered to the one before."""
+        self._kind = _kind_of(frame)
+        if self._resolution is None:
+            sizes = self._parameters.resolution
+            self._resolution = Resolution.of(frame.image.shape, sizes.processing, sizes.detail)
+        picture, window = self._tone(frame.image), self._window
+        self._coming = (
+            frame,
+            self._preparer.submit(prepare, picture, self._resolution, window.count, window.newest),
+        )
+
+    def _take_in(self) -> list[SegmentationResult]:
+        """Let the frame that was prepared join the others; after a cut, give what was before."""
+        if self._coming is None:
+            return []
+        (frame, preparation), self._coming = self._coming, None
+        prepared = preparation.result()
+        if self._window.follows_cut(prepared):
+            results = self._advance(ended=True)
+            self.reset()
+            self._prepare(frame)
+            return results + self._take_in()
+        self._window.append(prepared)
+        self._frames[prepared.index] = frame
+        return []
 
     def _advance(self, ended: bool) -> list[SegmentationResult]:
         for centre in self._window.ready(ended):
@@ -390,6 +416,10 @@ class MotionSegmenter:
             )
             for area in areas
         ]
+
+
+def _kind_of(frame: Frame) -> tuple[object, ...]:
+    return frame.image.shape, frame.image.dtype
 
 
 def _identity_keeper(parameters: Parameters) -> IdentityKeeper:
