@@ -10,7 +10,7 @@ from node_harness import Probe
 from std_msgs.msg import String
 
 from turbseg_ros.parameters import Parameters
-from turbseg_ros.ros.messages import CentroidMarkers, Output, outputs
+from turbseg_ros.ros.messages import CentroidMarkers, Output, outputs, views
 from turbseg_ros.ros.publishers import ResultPublisher
 from turbseg_ros.segmentation.frame import Frame, SegmentationResult
 
@@ -21,9 +21,9 @@ def probe() -> Iterator[Probe]:
         yield probe
 
 
-def result(stamp: int) -> SegmentationResult:
+def result(stamp: int, image_wanted: bool = True) -> SegmentationResult:
     labels = np.zeros((4, 5), np.uint16)
-    frame = Frame(stamp, np.zeros((4, 5), np.uint8))
+    frame = Frame(stamp, np.zeros((4, 5), np.uint8), image_wanted=image_wanted)
     return SegmentationResult(frame, labels, (), np.zeros((4, 5), np.float32), 0.0, "none")
 
 
@@ -58,6 +58,32 @@ def test_only_what_is_heard_or_stateful_is_built(probe):
     assert (heard.built, unheard.built, stateful.built) == (2, 0, 3)
     probe.wait_for(lambda: len(messages) == 2, "both messages")
     assert [message.data for message in messages] == ["1 at 2", "2 at 3"]
+
+
+def test_images_are_wanted_while_somebody_looks_at_them(probe):
+    overlay = Counter()
+    publisher = ResultPublisher(
+        probe.node,
+        [
+            Output("labels", String, Counter()),
+            Output("overlay", String, overlay, shows_image=True),
+        ],
+    )
+    labels = probe.listen("/probe/labels", String)
+    probe.wait_for(lambda: publisher.publish(result(1)) or labels, "labels")
+    assert not publisher.image_wanted
+    probe.listen("/probe/overlay", String)
+    probe.wait_for(lambda: publisher.image_wanted, "the listener")
+    # A frame whose image had gone when the listener came.
+    publisher.publish(result(2, image_wanted=False))
+    assert overlay.built == 0
+    publisher.publish(result(3))
+    assert overlay.built == 1
+
+
+def test_the_overlay_alone_shows_the_image():
+    topics = (*outputs(2, CentroidMarkers()), *views())
+    assert [output.name for output in topics if output.shows_image] == ["overlay"]
 
 
 def test_markers_are_deleted_for_listeners_that_come_later():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -79,6 +80,21 @@ def test_a_moving_square_is_found_and_keeps_its_id(results: list[SegmentationRes
     assert ids(results) == {1}
     assert all(len(result.objects) == 1 for result in results[4:])
     assert_sound(results)
+
+
+def test_images_that_nobody_wants_are_not_kept(results: list[SegmentationResult]) -> None:
+    segmenter = MotionSegmenter(PARAMETERS)
+    lean = []
+    for frame in frames(CLIP):
+        lean += segmenter.push(replace(frame, image_wanted=False))
+    lean += segmenter.flush()
+    for result, full in zip(lean, results, strict=True):
+        assert result.frame.image.shape == full.frame.image.shape
+        assert result.frame.image.dtype == full.frame.image.dtype
+        assert not result.frame.image.any()
+        # A pixel stands for all of them.
+        assert result.frame.image.strides == (0,) * result.frame.image.ndim
+        np.testing.assert_array_equal(result.labels, full.labels)
 
 
 def test_in_haste_the_square_is_carried_along_between_measurements() -> None:

@@ -115,7 +115,8 @@ def endless(clip: Sequence[Picture], size: tuple[int, int], rate_hz: float) -> I
         scale = max(width / picture.shape[1], height / picture.shape[0])
         wide, high = round(width / scale), round(height / scale)
         image = cv2.resize(picture[:high, :wide], size, interpolation=cv2.INTER_CUBIC)
-        yield Frame(stamp=round((1 + number / rate_hz) * 1e9), image=image)
+        # As in the node while nobody looks at its overlay.
+        yield Frame(round((1 + number / rate_hz) * 1e9), image, image_wanted=False)
         number += 1
 
 

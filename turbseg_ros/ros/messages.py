@@ -272,14 +272,16 @@ class Output:
     """One topic of results: its name below the node's, its type and how a message is built.
 
     A `stateful` output's messages tell what changed since the one before, so that every one has to
-    be built; of the others, only those that someone wants. `depth` is how many messages a
-    publisher keeps for subscribers that missed one.
+    be built; of the others, only those that someone wants. One that `shows_image` can be built
+    only of results whose frame kept its image. `depth` is how many messages a publisher keeps for
+    subscribers that missed one.
     """
 
     name: str
     type: type[Any]
     build: Callable[[SegmentationResult], Any]
     stateful: bool = False
+    shows_image: bool = False
     depth: int = _IMAGE_DEPTH
 
 
@@ -303,7 +305,7 @@ def slot_output(slot: int) -> Output:
 def views() -> tuple[Output, ...]:
     """Give the topics for people to look at."""
     return (
-        Output("overlay", Image, OverlayView().message),
+        Output("overlay", Image, OverlayView().message, shows_image=True),
         Output("motion", Image, motion_message),
     )
 

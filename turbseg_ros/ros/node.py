@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -23,6 +22,7 @@ from turbseg_ros.ros.parameters import ParameterHandler
 from turbseg_ros.ros.publishers import ResultPublisher
 from turbseg_ros.ros.subscription import MatchingSubscription
 from turbseg_ros.ros.worker import SegmentationWorker
+from turbseg_ros.segmentation.frame import Frame
 
 _DIAGNOSTICS_PERIOD = 1.0
 # A camera that offers less than is asked for goes unheard until its offer is looked at.
@@ -65,7 +65,7 @@ class TurbsegNode(Node):  # type: ignore[misc]  # rclpy is read as untyped
         self._segmenter = motion_segmenter(parameters)
         self._worker = SegmentationWorker(
             self._segmenter,
-            convert=functools.partial(frame_from_serialised, kind=self._image_type),
+            convert=self._frame,
             publish=self._results.publish,
             now=lambda: self.get_clock().now().nanoseconds,
             statistics=self._statistics,
@@ -113,6 +113,10 @@ class TurbsegNode(Node):  # type: ignore[misc]  # rclpy is read as untyped
             reliability=parameters.qos.reliability,
             on_lost=lambda count: self._statistics.count(Event.LOST, count),
         )
+
+    def _frame(self, serialised: memoryview) -> Frame:
+        frame = frame_from_serialised(serialised, self._image_type)
+        return dataclasses.replace(frame, image_wanted=self._results.image_wanted)
 
     def _on_parameters(self, before: Parameters, after: Parameters) -> None:
         changed = after.as_mapping().items() - before.as_mapping().items()

@@ -27,8 +27,19 @@ class ResultPublisher:
     def publish(self, result: SegmentationResult) -> None:
         """Publish one result where someone listens; what is stateful, in any case."""
         for output, publisher in self._publishers:
+            if output.shows_image and not result.frame.image_wanted:
+                continue
             if output.stateful or publisher.get_subscription_count():
                 publisher.publish(output.build(result))
+
+    @property
+    def image_wanted(self) -> bool:
+        """Whether someone listens to what shows a frame's image."""
+        return any(
+            publisher.get_subscription_count()
+            for output, publisher in self._publishers
+            if output.shows_image
+        )
 
     def wait_until_received(self, timeout: float) -> bool:
         """Wait until all listeners have acknowledged everything; False when time runs out.

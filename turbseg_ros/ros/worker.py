@@ -221,7 +221,7 @@ class SegmentationWorker:
         if verdict.action is Action.RESTART:
             self._throttled.info(verdict.continuity, f"new window: {verdict.reason}")
             self._begin_stream()
-        self._unanswered[frame.stamp] = (frame, arrival.time)
+        self._unanswered[frame.stamp] = (frame.kept(), arrival.time)
         self._last_arrival = arrival.time
         self._answer(
             functools.partial(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,12 +18,23 @@ class Frame:
     """One image of the camera.
 
     `image` is HxW (grey) or HxWx3 (blue, green, red), uint8, uint16 or float32; `stamp` is the
-    time it was taken, in nanoseconds; `frame_id` names the camera's coordinate frame.
+    time it was taken, in nanoseconds; `frame_id` names the camera's coordinate frame. Where it is
+    not `image_wanted`, its result comes with a black image, for full-size ones of all frames that
+    wait take much memory.
     """
 
     stamp: int
     image: Image
     frame_id: str = ""
+    image_wanted: bool = True
+
+    def kept(self) -> Frame:
+        """Give what is to be kept of it for its result."""
+        if self.image_wanted:
+            return self
+        # One pixel for all of them.
+        black = np.broadcast_to(np.zeros((), self.image.dtype), self.image.shape)
+        return replace(self, image=black)
 
 
 @dataclass(frozen=True)

@@ -196,7 +196,7 @@ class MotionSegmenter:
             self._prepare(frame)
             return results + self._take_in()
         self._window.append(prepared)
-        self._frames[prepared.index] = frame
+        self._frames[prepared.index] = frame.kept()
         return []
 
     def _advance(self, ended: bool) -> list[SegmentationResult]:
