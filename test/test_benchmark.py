@@ -101,6 +101,7 @@ def test_the_footprint_is_that_of_a_process_of_its_own():
     needs = footprint(SMALL, drawn_frames(20))
     assert 30.0 < needs.mebibytes < 400.0
     assert 0.0 < needs.start_seconds < 60.0
+    assert 0.0 < needs.first_result_seconds < 60.0
 
 
 def test_the_executable_writes_what_it_prints(monkeypatch, tmp_path, capsys):

@@ -122,7 +122,8 @@ def _table(timing: Timing, needs: Footprint, options: argparse.Namespace) -> Ite
     width, height = timing.size
     yield (
         f"{width}x{height}, {options.objects} objects, {options.frames} frames: "
-        f"{needs.mebibytes:.0f} MiB, first result after {needs.start_seconds:.1f} s"
+        f"{needs.mebibytes:.0f} MiB, ready after {needs.start_seconds:.1f} s, "
+        f"first result {needs.first_result_seconds:.1f} s later"
     )
     head = ("p50 ms", "p95 ms", "p99 ms", "flows", "cpu ms", "flows")
     yield f"{'':16} " + " ".join(f"{title:>8}" for title in head)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 import importlib
 import itertools
+import math
 import multiprocessing
 import threading
 import time
@@ -97,12 +98,14 @@ class Timing:
 class Footprint:
     """What a process that does nothing but segment needs.
 
-    `mebibytes` is the most memory that was ever resident; `start_seconds` the time from the start
-    of the process, with all that it loads, to the first result, frames waiting for it.
+    `mebibytes` is the most memory that was ever resident; `start_seconds` the time that the
+    process takes to load all that it needs, `first_result_seconds` that from its first frame to
+    its first result, the next frame always at hand.
     """
 
     mebibytes: float
     start_seconds: float
+    first_result_seconds: float
 
 
 def endless(clip: Sequence[Picture], size: tuple[int, int], rate_hz: float) -> Iterator[Frame]:
@@ -230,20 +233,23 @@ def footprint(parameters: Parameters, frames: Iterable[Frame]) -> Footprint:
     process = context.Process(target=_segment_from, args=(there, parameters), daemon=True)
     process.start()
     there.close()
-    first_result = None
+    first_result = float("nan")
     with here:
+        here.recv()
+        loaded = time.perf_counter()
         for frame in frames:
             here.send(frame)
-            if here.recv() and first_result is None:
-                first_result = time.perf_counter() - began
+            if here.recv() and math.isnan(first_result):
+                first_result = time.perf_counter() - loaded
         here.send(None)
         mebibytes = here.recv()
     process.join()
-    return Footprint(mebibytes, float("nan") if first_result is None else first_result)
+    return Footprint(mebibytes, loaded - began, first_result)
 
 
 def _segment_from(connection: Connection, parameters: Parameters) -> None:
     segmenter = motion_segmenter(parameters)
+    connection.send("ready")
     while (frame := connection.recv()) is not None:
         connection.send(len(segmenter.push(frame)))
     connection.send(_most_resident())
