@@ -27,8 +27,10 @@ demo: venv
 	$(BIN)/python -m pip install --quiet $(CONSTRAINTS) --no-build-isolation --editable '.[learning]'
 	touch $@
 
+# Side by side: half of the tests' time they wait for processes that they start.
+JOBS ?= 2
 test: lint .venv/learning
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile
 
 # What a frame takes, in one run with rivals and a yardstick; figures in out/benchmark.json.
 bench: venv

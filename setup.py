@@ -61,6 +61,7 @@ setup(
         "test": [
             "pytest>=7.4,<10",
             "pytest-timeout>=2,<3",
+            "pytest-xdist>=3,<4",
             "hypothesis>=6,<7",
             "rosbags>=0.11,<1",
         ],
