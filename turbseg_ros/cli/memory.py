@@ -7,6 +7,7 @@ import ctypes
 # Of glibc's malloc.h.
 _M_TRIM_THRESHOLD = -1
 _M_MMAP_THRESHOLD = -3
+_M_ARENA_MAX = -8
 # Buffers up to this many bytes, an 8K image in grey, are cut from the heap; malloc takes no more.
 _LARGEST_KEPT = 2**25
 # So many free bytes at the end of a heap are kept: what a few large images in work take.
@@ -17,7 +18,8 @@ def keep_large_buffers() -> None:
     """Let freed images be used again, in place of new memory from the kernel for each.
 
     By default glibc gives large buffers back when they are freed. Each frame's new ones are then
-    mapped, cleared and faulted in page by page, which costs more than all copying of a frame.
+    mapped, cleared and faulted in page by page, which costs more than all copying of a frame. And
+    each thread gets a heap of its own, so that what one receives is no use to the next.
     Other C libraries are left as they are.
     """
     try:
@@ -26,3 +28,4 @@ def keep_large_buffers() -> None:
         return
     mallopt(_M_MMAP_THRESHOLD, _LARGEST_KEPT)
     mallopt(_M_TRIM_THRESHOLD, _MOST_FREE)
+    mallopt(_M_ARENA_MAX, 1)
