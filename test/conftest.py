@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import os
 from collections.abc import Iterator
@@ -11,7 +12,8 @@ import pytest
 from rclpy.context import Context
 
 # It logs for good to what is standard error at the moment: later, that of a single test.
-importlib.import_module("distributed")
+with contextlib.suppress(ImportError):
+    importlib.import_module("distributed")
 
 # Localhost only, and a domain that another run on this machine hardly has too. Set before
 # anything starts ROS, and inherited by every process that a test starts.

@@ -2,6 +2,7 @@
 
 import gc
 import itertools
+import threading
 import time
 
 import pytest
@@ -65,10 +66,10 @@ def probe(only_probe):
 @pytest.fixture
 def subscribe(probe):
     """Make a matching subscription on a fresh topic, in a node started with arguments."""
-    made = []
+    nodes, subscriptions = [], []
     topics = itertools.count()
 
-    def subscribe(*arguments, reliability="auto", kind=Int32):
+    def subscribe(*arguments, reliability="auto", kind=Int32, when=None, fails_on=None):
         node = Node(
             "listener",
             context=probe.context,
@@ -76,22 +77,32 @@ def subscribe(probe):
             automatically_declare_parameters_from_overrides=True,
         )
         probe.add_node(node)
+        nodes.append(node)
         received, lost = [], []
+
+        def receive(serialised):
+            if when is not None:
+                assert when.wait(TIMEOUT)
+            if fails_on is not None and numbers([serialised]) == [fails_on]:
+                raise RuntimeError(f"message {fails_on} fails")
+            received.append(serialised)
+
         subscription = MatchingSubscription(
             node,
             kind,
             f"numbers_{next(topics)}",
-            received.append,
+            receive,
             depth=10,
             reliability=reliability,
             on_lost=lost.append,
         )
-        made.append((node, subscription))
+        subscriptions.append(subscription)
         return subscription, received, lost
 
     yield subscribe
-    for node, subscription in made:
+    for subscription in subscriptions:
         subscription.destroy()
+    for node in nodes:
         node.destroy_node()
 
 
@@ -191,12 +202,26 @@ def test_an_override_that_is_no_policy_is_refused(subscribe, override):
 
 
 def test_what_the_middleware_dropped_is_counted(probe, subscribe):
-    subscription, received, lost = subscribe()
+    room = threading.Event()
+    room.set()
+    subscription, received, lost = subscribe(when=room)
     publisher = probe.advertise(subscription.topic, Int32)
     publisher.publish(Int32(data=0))
     probe.wait_for(lambda: len(received) == 1, "the first message")
+    room.clear()
     for number in range(1, 31):
         publisher.publish(Int32(data=number))
+    room.set()
     probe.wait_for(lambda: numbers(received)[-1] == 30, "the last message")
     assert len(received) < 31
     assert len(received) + sum(lost) == 31
+
+
+def test_a_message_that_fails_is_logged_and_the_next_received(probe, subscribe, capfd):
+    subscription, received, _ = subscribe(fails_on=1)
+    publisher = probe.advertise(subscription.topic, Int32)
+    for number in range(3):
+        publisher.publish(Int32(data=number))
+    probe.wait_for(lambda: len(received) == 2, "the others")
+    assert numbers(received) == [0, 2]
+    assert "RuntimeError: message 1 fails" in capfd.readouterr().err

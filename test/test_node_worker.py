@@ -158,7 +158,7 @@ def test_keeps_the_newest_images_when_too_many_wait():
 def test_hurries_while_many_images_wait(harness):
     harness.segmenter.gate.clear()
     harness.submit(0)
-    while harness.worker.waiting:
+    while not harness.segmenter.hurried:
         time.sleep(0.001)
     harness.submit(*stamps(6, PERIOD))
     harness.segmenter.gate.set()

@@ -82,6 +82,24 @@ def test_a_moving_square_is_found_and_keeps_its_id(results: list[SegmentationRes
     assert_sound(results)
 
 
+def test_a_frame_that_cannot_be_prepared_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: object) -> None:
+        raise ValueError("broken")
+
+    segmenter = MotionSegmenter(PARAMETERS)
+    first, second, third = frames(CLIP[:3], first=40)
+    segmenter.push(first)
+    with monkeypatch.context() as patch:
+        patch.setattr("turbseg_ros.segmentation.pipeline.prepare", broken)
+        segmenter.push(second)
+        with pytest.raises(RuntimeError, match="the frame of 41 ns"):
+            segmenter.push(third)
+    # As the worker does.
+    segmenter.reset()
+    assert segmenter.push(first) == []
+    assert stamps(segmenter.flush()) == [40]
+
+
 def test_images_that_nobody_wants_are_not_kept(results: list[SegmentationResult]) -> None:
     segmenter = MotionSegmenter(PARAMETERS)
     lean = []

@@ -391,7 +391,6 @@ def painted(candidates: Iterable[Candidate]) -> np.ndarray:
     return picture
 
 
-@settings(max_examples=30, deadline=None)
 def in_haste(tracker: ObjectTracker, frame: int, candidate: Candidate) -> list[Observation]:
     """Look for a candidate in every fourth frame only."""
     if frame % 4:
@@ -421,15 +420,28 @@ def test_what_changes_its_shape_becomes_no_object_by_being_carried_along() -> No
             assert not observation.track.confirmed
 
 
-def test_an_object_that_is_carried_out_of_the_frame_is_not_seen_there() -> None:
+def test_an_object_is_carried_out_of_the_frame_at_its_own_pace() -> None:
     tracker = tracker_of()
-    for frame in range(8):
-        update(tracker, [crossing(frame, (360.0, 40.0), (3.0, 0.0))])
-    seen_in = [len(tracker.coast(STILL_CAMERA, (200, 400))) for _ in range(12)]
-    assert seen_in[0] == 1
-    assert seen_in[-1] == 0
+    for frame in range(12):
+        update(tracker, [crossing(frame, (320.0, 40.0), (5.0, 0.0))])
+    # Its right edge is at 395 of 400 pixels.
+    widths = []
+    for _ in range(7):
+        observations = tracker.coast(STILL_CAMERA, (200, 400))
+        widths.append(only(observations).candidate.area / 12 if observations else 0)
+    assert widths == pytest.approx([20, 15, 10, 5, 0, 0, 0], abs=1)
 
 
+def test_what_was_not_found_comes_no_nearer_to_being_an_object_while_it_is_carried() -> None:
+    tracker = tracker_of()
+    first = only(update(tracker, [crossing(0, (30.0, 40.0), (3.0, 0.0))]))
+    update(tracker, [])
+    hits = first.track.hits
+    assert tracker.coast(STILL_CAMERA, (200, 400)) == []
+    assert first.track.hits == hits
+
+
+@settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 10_000))
 def test_whatever_is_seen_ids_and_slots_are_unique(seed: int) -> None:
     random = np.random.default_rng(seed)

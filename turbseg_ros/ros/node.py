@@ -91,12 +91,14 @@ class TurbsegNode(Node):  # type: ignore[misc]  # rclpy is read as untyped
 
     def destroy_node(self) -> None:
         """Answer the frames at hand, then take the node out of the graph."""
-        if self._images is not None:
-            self._images.destroy()
-        self._worker.stop()
-        # What a busy listener has not got by now would go with the publishers.
-        self._results.wait_until_received(_FAREWELL)
-        super().destroy_node()
+        try:
+            if self._images is not None:
+                self._images.destroy()
+        finally:
+            self._worker.stop()
+            # What a busy listener has not got by now would go with the publishers.
+            self._results.wait_until_received(_FAREWELL)
+            super().destroy_node()
 
     def _subscribe(self) -> MatchingSubscription:
         parameters = self._parameter_handler.current

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import traceback
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -22,12 +23,16 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 
 from turbseg_ros.parameters import ParameterError
-from turbseg_ros.ros.taking import Taken, TakingError, take
+from turbseg_ros.ros.taking import Taken, take
 
 _FORCED = {
     "reliable": ReliabilityPolicy.RELIABLE,
     "best_effort": ReliabilityPolicy.BEST_EFFORT,
 }
+
+# Seconds between errors that are logged, and of rest after each.
+_ERROR_PERIOD = 5.0
+_RESPITE = 0.1
 
 
 def strictest_reliability(offered: Iterable[QoSProfile]) -> ReliabilityPolicy:
@@ -190,38 +195,44 @@ class _Reception:
         self._node = node
         self._subscription = subscription
         self._receive = receive
-        self._stopping = False
+        self._stopping = threading.Event()
         self._wake = GuardCondition(None, None, context=node.context)
         self._thread = threading.Thread(target=self._run, name="reception", daemon=True)
         self._thread.start()
 
     def stop(self) -> None:
-        """End the thread."""
-        self._stopping = True
+        """End the thread, unless it has ended already."""
+        if self._stopping.is_set():
+            return
+        self._stopping.set()
         self._wake.trigger()
         self._thread.join()
         self._wake.destroy()
 
     def _run(self) -> None:
-        context, handle = self._node.context.handle, self._subscription.handle
-        with context, handle, self._wake.handle:
-            wait_set = rclpy_implementation.WaitSet(1, 1, 0, 0, 0, 0, context)
+        context, handle = self._node.context, self._subscription.handle
+        with context.handle, handle, self._wake.handle:
+            wait_set = rclpy_implementation.WaitSet(1, 1, 0, 0, 0, 0, context.handle)
             with wait_set:
-                while not self._stopping:
-                    wait_set.clear_entities()
-                    wait_set.add_subscription(handle)
-                    wait_set.add_guard_condition(self._wake.handle)
-                    wait_set.wait(-1)
-                    self._take(handle)
+                while not self._stopping.is_set() and context.ok():
+                    self._take_next(wait_set, handle)
 
-    def _take(self, handle: Any) -> None:
+    def _take_next(self, wait_set: Any, handle: Any) -> None:
         try:
+            wait_set.clear_entities()
+            wait_set.add_subscription(handle)
+            wait_set.add_guard_condition(self._wake.handle)
+            wait_set.wait(-1)
             taken = take(handle)
-        except TakingError as error:
-            self._node.get_logger().error(str(error), throttle_duration_sec=5.0)
-            return
-        if taken is not None:
-            self._receive(taken)
+            if taken is not None:
+                self._receive(taken)
+        except Exception:
+            # Whatever it is, the next message may be sound.
+            self._node.get_logger().error(
+                f"receiving from {self._subscription.topic_name} failed: {traceback.format_exc()}",
+                throttle_duration_sec=_ERROR_PERIOD,
+            )
+            self._stopping.wait(_RESPITE)
 
 
 class SequenceNumbers:

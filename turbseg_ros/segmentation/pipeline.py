@@ -154,6 +154,8 @@ class MotionSegmenter:
     def push(self, frame: Frame, in_haste: bool = False) -> list[SegmentationResult]:
         """Take the next frame; give the results that are ready, of earlier frames mostly.
 
+        Its image is still read until the next call.
+
         :param in_haste: where motion isn't measured anew, carry objects along instead of looking
             for them: less exact, but done sooner.
         """
@@ -189,7 +191,10 @@ class MotionSegmenter:
         if self._coming is None:
             return []
         (frame, preparation), self._coming = self._coming, None
-        prepared = preparation.result()
+        try:
+            prepared = preparation.result()
+        except Exception as error:
+            raise RuntimeError(f"the frame of {frame.stamp} ns can't be prepared") from error
         if self._window.follows_cut(prepared):
             results = self._advance(ended=True)
             self.reset()

@@ -147,18 +147,20 @@ class Track:
         self.claims = [*self.claims, float(np.hypot(*candidate.velocity))][-_TRAIL_LENGTH:]
         self.still = 0 if candidate.moving else self.still + 1
 
-    def coast(self, ego_motion: Matrix, shape: tuple[int, int]) -> None:
-        """Take it into the next frame, of some shape, where nobody looks for it.
+    def coast(self, ego_motion: Matrix, shape: tuple[int, int]) -> Candidate:
+        """Take it into the next frame, of some shape, where nobody looks for it; give where it is.
 
-        It is taken to be as alike, and to claim as much, as when it was last looked for.
+        If it was found when it was last looked for, it is taken to be as alike, and to claim as
+        much, as then.
         """
         expected = self.expected(ego_motion, shape)
         self.carry(ego_motion)
-        self.candidate = expected
         self.still += 1
-        self.hits += 1
-        self.likeness = [*self.likeness, *self.likeness[-1:]][-SHAPE_SPAN:]
-        self.claims = [*self.claims, *self.claims[-1:]][-_TRAIL_LENGTH:]
+        if self.misses == 0:
+            self.hits += 1
+            self.likeness = [*self.likeness, *self.likeness[-1:]][-SHAPE_SPAN:]
+            self.claims = [*self.claims, *self.claims[-1:]][-_TRAIL_LENGTH:]
+        return expected
 
     def common_area(self, candidate: Candidate) -> int:
         """Count the candidate's pixels that lie where its mask is expected now."""
@@ -192,12 +194,15 @@ class Track:
         outline = self.candidate.outline.resampled(way, shape, cv2.INTER_NEAREST)
         return Candidate(outline.box, outline.mask, self.velocity, moving=False)
 
-    def observed(self) -> Observation:
-        """Remember where it is now, and give what is known of it in this frame."""
+    def observed(self, candidate: Candidate) -> Observation:
+        """Remember where it is now, and give what is known of it in this frame.
+
+        :param candidate: what stands for it there.
+        """
         self.trail = [*self.trail, self.position][-_TRAIL_LENGTH:]
         return Observation(
             track=self,
-            candidate=self.candidate,
+            candidate=candidate,
             velocity=self.velocity,
             trail=tuple((float(x), float(y)) for x, y in self.trail),
         )

@@ -141,7 +141,7 @@ class ObjectTracker:
                 track = known
                 track.correct(candidate)
             self._confirm(track, tilt)
-            observations.append(track.observed())
+            observations.append(track.observed(track.candidate))
         seen = {id(observation.track) for observation in observations}
         for track in self._tracks:
             track.misses = 0 if id(track) in seen else track.misses + 1
@@ -154,11 +154,13 @@ class ObjectTracker:
         :param ego_motion: takes the last frame's pixels to this one's.
         :return: an observation for each track that was seen when last looked for.
         """
-        for track in self._tracks:
-            track.coast(ego_motion, shape)
+        coasted = [(track, track.coast(ego_motion, shape)) for track in self._tracks]
         self._carry_places(ego_motion)
-        seen = [track for track in self._tracks if track.misses == 0 and track.candidate.area]
-        return [track.observed() for track in seen]
+        return [
+            track.observed(candidate)
+            for track, candidate in coasted
+            if track.misses == 0 and candidate.area
+        ]
 
     def _carry_places(self, ego_motion: Matrix) -> None:
         self._restless = [

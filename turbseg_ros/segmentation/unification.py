@@ -63,7 +63,7 @@ class KMeansUnifier:
         """Take every candidate for an object whose id is still open."""
         tracks = [Track.started(candidate, tilt) for candidate in candidates]
         self._clip.append(tracks)
-        return [track.observed() for track in tracks]
+        return [track.observed(track.candidate) for track in tracks]
 
     def coast(self, ego_motion: Matrix, shape: tuple[int, int]) -> list[Observation]:
         """Take the masks of the frame before, carried along, for those of this one."""
