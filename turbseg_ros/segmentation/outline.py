@@ -67,10 +67,17 @@ class Box:
         return float(np.hypot(across, down))
 
     @classmethod
+    def of_rectangle(cls, rectangle: Sequence[int]) -> Box:
+        """Give what OpenCV gives as (x, y, width, height)."""
+        x, y, width, height = rectangle
+        return cls(x, y, x + width, y + height)
+
+    @classmethod
     def around(cls, mask: Mask) -> Box:
         """Give the smallest box around what a mask holds, one of no size around nothing."""
-        x, y, width, height = cv2.boundingRect(mask.view(np.uint8)) if mask.size else (0, 0, 0, 0)
-        return cls(x, y, x + width, y + height)
+        if not mask.size:
+            return cls(0, 0, 0, 0)
+        return cls.of_rectangle(cv2.boundingRect(mask.view(np.uint8)))
 
 
 @dataclass(frozen=True)
@@ -181,7 +188,7 @@ def convex_hull(outlines: Sequence[Outline]) -> Outline:
     if not points:
         return NOTHING
     corners = cv2.convexHull(np.vstack(points))
-    x, y, width, height = cv2.boundingRect(corners)
-    hull = np.zeros((height, width), np.uint8)
-    cv2.fillConvexPoly(hull, corners - (x, y), 1)
-    return Outline(Box(x, y, x + width, y + height), hull > 0)
+    box = Box.of_rectangle(cv2.boundingRect(corners))
+    hull = np.zeros(box.shape, np.uint8)
+    cv2.fillConvexPoly(hull, corners - (box.x0, box.y0), 1)
+    return Outline(box, hull > 0)

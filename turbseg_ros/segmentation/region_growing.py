@@ -129,6 +129,6 @@ def _seeds(
 def _connected_to(seed: Seed, candidates: Mask) -> Outline:
     filled = candidates.view(np.uint8)
     filled[seed.y, seed.x] = 1
-    _, _, _, (x, y, width, height) = cv2.floodFill(filled, None, (seed.x, seed.y), 2, flags=4)
-    box = Box(x, y, x + width, y + height)
+    _, _, _, rectangle = cv2.floodFill(filled, None, (seed.x, seed.y), 2, flags=4)
+    box = Box.of_rectangle(rectangle)
     return Outline(box, filled[box.slices] == 2)

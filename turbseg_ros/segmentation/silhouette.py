@@ -103,8 +103,7 @@ def object_windows(
     pieces, _ = cv2.findContours(moving.view(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
     windows = []
     for piece in reversed(pieces):
-        x, y, width, height = cv2.boundingRect(piece)
-        box = Box(x, y, x + width, y + height).grown(_MARGIN, shape)
+        box = Box.of_rectangle(cv2.boundingRect(piece)).grown(_MARGIN, shape)
         cut = box.slices
         _, labels = cv2.connectedComponents(moving[cut].astype(np.uint8))
         column, row = piece[0, 0] - (box.x0, box.y0)
