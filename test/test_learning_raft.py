@@ -67,6 +67,18 @@ def as_published_by_the_authors(parameters: dict[str, torch.Tensor]) -> dict[str
     return named
 
 
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no GPU")
+def test_on_a_gpu_flows_are_those_of_the_processor(small_weights: Path) -> None:
+    shape = (240, 432)
+    pictures = picture(shape, 0), {4: picture(shape, 1)}
+    (quick,) = RaftFlow("raft_small", small_weights, "cuda").flows_to(*pictures).values()
+    (whole,) = RaftFlow("raft_small", small_weights, "cpu").flows_to(*pictures).values()
+    assert quick.dtype == np.float32
+    # Half precision tells 14 from 14.01.
+    assert np.sqrt(np.mean(whole**2)) > 1.0
+    assert np.percentile(np.abs(quick - whole), 99) < 0.01 * np.sqrt(np.mean(whole**2))
+
+
 def test_flows_have_the_pictures_size_whatever_that_is(small_weights: Path) -> None:
     raft = RaftFlow("raft_small", small_weights, "cpu")
     shape = (135, 171)

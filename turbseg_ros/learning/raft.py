@@ -53,7 +53,7 @@ _LISTED_TWICE = re.compile(r"^module\..*\.norm[34]\.")
 class RaftFlow:
     """Computes all flows of a frame in one batch.
 
-    On a GPU it runs in half precision. `device` says where: cpu or cuda.
+    On a GPU it runs in half precision where it can. `device` says where: cpu or cuda.
 
     :param architecture: raft_small or raft_large.
     :param weights: checkpoint of torchvision or of RAFT's authors; without one, torchvision
@@ -66,10 +66,7 @@ class RaftFlow:
         self.device = resolved_device(device)
         net = _BUILDERS[architecture](weights=None)
         _load(net, architecture, _checkpoint(architecture, weights), weights)
-        self._precision = torch.half if self.device == "cuda" else torch.float32
-        self._net = net.eval().to(
-            device=self.device, dtype=self._precision, memory_format=torch.channels_last
-        )
+        self._net = net.eval().to(device=self.device, memory_format=torch.channels_last)
 
     def flows_to(self, source: GreyImage, targets: Mapping[int, GreyImage]) -> dict[int, Flow]:
         """Give the flow F(t→t+k), HxWx2, for every neighbour {k: HxW grey, aligned to t}."""
@@ -77,7 +74,9 @@ class RaftFlow:
             return {}
         second = self._batch(np.stack(list(targets.values())))
         first = self._batch(source[None]).expand_as(second)
-        with torch.inference_mode():
+        # Half precision where RAFT bears it: coordinates, for one, stay whole.
+        halved = torch.autocast(self.device, torch.half, enabled=self.device == "cuda")
+        with torch.inference_mode(), halved:
             flows = self._net(first, second)[-1].float()
         height, width = source.shape
         cropped = flows[..., :height, :width].permute(0, 2, 3, 1).cpu().numpy()
@@ -85,7 +84,7 @@ class RaftFlow:
 
     def _batch(self, images: GreyImage) -> Tensor:
         """Bring NxHxW grey values to what RAFT takes: three channels, -1 to 1, sides it likes."""
-        grey = torch.from_numpy(images).to(self.device, self._precision)[:, None] / 127.5 - 1.0
+        grey = torch.from_numpy(images).to(self.device, torch.float32)[:, None] / 127.5 - 1.0
         height, width = images.shape[1:]
         padding = (0, _padded(width) - width, 0, _padded(height) - height)
         padded = functional.pad(grey, padding, mode="replicate")
