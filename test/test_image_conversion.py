@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import re
+import resource
 
 import cv2
 import numpy as np
@@ -196,6 +197,23 @@ def test_an_impossible_message_is_refused_in_one_line(changes, complaint):
     with pytest.raises(ImageConversionError, match=re.escape(complaint)) as caught:
         image_from_message(message)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("length", [100, 2**31 - 1, 2**32 - 1])
+def test_a_png_that_states_more_data_than_it_has_takes_no_memory_for_them(length):
+    png = bytearray(cv2.imencode(".png", np.zeros((9, 9), np.uint8))[1].tobytes())
+    data = png.index(b"IDAT")
+    png[data - 4 : data] = length.to_bytes(4, "big")
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(ImageConversionError, match="can't be decoded: it ends within a chunk"):
+        image_from_message(compressed(np.frombuffer(bytes(png), np.uint8), "png"))
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100_000
+
+
+def test_what_follows_the_end_of_a_png_is_left_alone():
+    image = np.arange(81, dtype=np.uint8).reshape(9, 9)
+    png = np.append(cv2.imencode(".png", image)[1], np.frombuffer(b"trailer", np.uint8))
+    np.testing.assert_array_equal(image_from_message(compressed(png, "png")), image)
 
 
 @pytest.mark.parametrize(

@@ -25,6 +25,9 @@ from turbseg_ros.segmentation.frame import Frame
 AnyImage: TypeAlias = Image | CompressedImage | ImageView | CompressedImageView
 
 _NANOSECONDS = 1_000_000_000
+# A PNG is its signature and chunks: length, kind, so many bytes of data, checksum.
+_PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+_PNG_CHUNK_FRAME = 12
 
 
 class ImageConversionError(ValueError):
@@ -245,6 +248,8 @@ def _native(pixels: npt.NDArray[Any]) -> npt.NDArray[Any]:
 def _decoded(message: CompressedImage | CompressedImageView) -> npt.NDArray[Any]:
     data = np.frombuffer(memoryview(message.data), np.uint8)
     what = f"compressed image (format {reprlib.repr(message.format)}, {data.size} bytes)"
+    if _is_cut_png(data.tobytes()):
+        raise ImageDataError(f"{what} can't be decoded: it ends within a chunk")
     flags = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR | cv2.IMREAD_IGNORE_ORIENTATION
     image: npt.NDArray[Any] | None
     try:
@@ -258,3 +263,16 @@ def _decoded(message: CompressedImage | CompressedImageView) -> npt.NDArray[Any]
     if image.dtype not in (np.uint8, np.uint16, np.float32):
         raise UnknownEncodingError(f"{what} holds {image.dtype}, which is not supported")
     return image
+
+
+def _is_cut_png(data: bytes) -> bool:
+    """Tell whether a PNG states more data than it has: OpenCV takes memory for all it states."""
+    if not data.startswith(_PNG_SIGNATURE):
+        return False
+    position = len(_PNG_SIGNATURE)
+    while position < len(data):
+        length, kind = data[position : position + 4], data[position + 4 : position + 8]
+        position += _PNG_CHUNK_FRAME + int.from_bytes(length, "big")
+        if kind == b"IEND":
+            break
+    return position > len(data)
