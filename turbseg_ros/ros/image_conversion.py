@@ -248,7 +248,7 @@ def _native(pixels: npt.NDArray[Any]) -> npt.NDArray[Any]:
 def _decoded(message: CompressedImage | CompressedImageView) -> npt.NDArray[Any]:
     data = np.frombuffer(memoryview(message.data), np.uint8)
     what = f"compressed image (format {reprlib.repr(message.format)}, {data.size} bytes)"
-    if _is_cut_png(data.tobytes()):
+    if _is_cut_png(data):
         raise ImageDataError(f"{what} can't be decoded: it ends within a chunk")
     flags = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR | cv2.IMREAD_IGNORE_ORIENTATION
     image: npt.NDArray[Any] | None
@@ -265,14 +265,15 @@ def _decoded(message: CompressedImage | CompressedImageView) -> npt.NDArray[Any]
     return image
 
 
-def _is_cut_png(data: bytes) -> bool:
+def _is_cut_png(data: npt.NDArray[np.uint8]) -> bool:
     """Tell whether a PNG states more data than it has: OpenCV takes memory for all it states."""
-    if not data.startswith(_PNG_SIGNATURE):
+    if data[: len(_PNG_SIGNATURE)].tobytes() != _PNG_SIGNATURE:
         return False
     position = len(_PNG_SIGNATURE)
-    while position < len(data):
-        length, kind = data[position : position + 4], data[position + 4 : position + 8]
+    while position < data.size:
+        head = data[position : position + 8].tobytes()
+        length, kind = head[:4], head[4:]
         position += _PNG_CHUNK_FRAME + int.from_bytes(length, "big")
         if kind == b"IEND":
             break
-    return position > len(data)
+    return position > data.size

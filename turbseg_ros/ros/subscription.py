@@ -100,9 +100,11 @@ class MatchingSubscription:
 
         Where that is forced, those who offer less are warned about, each once.
         """
-        wanted = self._wanted_reliability(self.reliability)
-        if wanted == self.reliability or self._overridden:
+        if self._forced is not None or self._overridden:
             self._warn_of_unheard()
+            return
+        wanted = self._wanted_reliability(self.reliability)
+        if wanted == self.reliability:
             return
         self._node.get_logger().info(
             f"subscribing to {self.topic} as {wanted.name.lower()}, as its publishers offer"
