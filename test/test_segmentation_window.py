@@ -79,14 +79,24 @@ def test_a_frame_waits_no_longer_than_it_must() -> None:
     assert ready == [[], [], [0], [1], [2]]
 
 
-def test_the_first_frames_wait_for_the_warm_up_and_are_then_worked_off_two_at_a_time() -> None:
+@pytest.mark.parametrize(
+    ("at_most", "expected"),
+    [
+        (1, [[], [], [], [], [], [0], [1], [2], [3], [4]]),
+        (2, [[], [], [], [], [], [0, 1], [2, 3], [4, 5], [6], [7]]),
+    ],
+)
+def test_the_first_frames_wait_for_the_warm_up_and_are_then_worked_off(
+    at_most: int, expected: list[list[int]]
+) -> None:
     window = FrameWindow(2, 2, memory=48, key_step=3, warm_up=6)
     ready = []
     for index in range(10):
         window.append(tiny_frame(index))
-        ready.append(list(window.ready()))
-    assert ready == [[], [], [], [], [], [0, 1], [2, 3], [4, 5], [6], [7]]
-    assert list(window.ready(ended=True)) == [8, 9]
+        ready.append(list(window.ready(at_most=at_most)))
+    assert ready == expected
+    left = list(range(sum(map(len, expected)), 10))
+    assert list(window.ready(ended=True)) == left
 
 
 def test_without_look_ahead_a_frame_is_ready_when_it_comes() -> None:

@@ -43,6 +43,8 @@ _LONG = 3
 _SMALLEST_OUTLINE = 12
 # Pixels by which objects are widened before what is left counts as background.
 _GUARD = 2
+# Frames segmented for each that comes while some have piled up.
+_CATCH_UP = 2
 # A known object counts as resting when motion was found on less than this share of it.
 _RESTING = 0.6
 
@@ -157,7 +159,7 @@ class MotionSegmenter:
         Its image is still read until the next call.
 
         :param in_haste: where motion isn't measured anew, carry objects along instead of looking
-            for them: less exact, but done sooner.
+            for them, and leave frames that have piled up for later: less exact, but done sooner.
         """
         self._in_haste = in_haste or self._parameters.latency.haste_from == 0
         results = []
@@ -168,7 +170,7 @@ class MotionSegmenter:
         self._prepare(frame)
         if not self._prepares_ahead:
             results += self._take_in()
-        return results + self._advance(ended=False)
+        return results + self._advance(ended=False, at_most=1 if in_haste else _CATCH_UP)
 
     def flush(self) -> list[SegmentationResult]:
         """Give the results of all frames that have none yet."""
@@ -204,8 +206,8 @@ class MotionSegmenter:
         self._frames[prepared.index] = frame.kept()
         return []
 
-    def _advance(self, ended: bool) -> list[SegmentationResult]:
-        for centre in self._window.ready(ended):
+    def _advance(self, ended: bool, at_most: int = 1) -> list[SegmentationResult]:
+        for centre in self._window.ready(ended, at_most):
             self._pending.append(self._segment(centre))
         if ended:
             self._identities.settle()

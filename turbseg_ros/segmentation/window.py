@@ -25,8 +25,6 @@ ByteImage = npt.NDArray[np.uint8]
 _SHORTEST_SIDE = 16
 # With fewer views of it, the median of the background is a matter of chance.
 _ENOUGH_KEY_FRAMES = 6
-# Frames segmented for each that comes while some have piled up.
-_CATCH_UP = 2
 
 
 @dataclass(frozen=True)
@@ -189,17 +187,17 @@ class FrameWindow:
         self._frames[prepared.index] = prepared
         self._count += 1
 
-    def ready(self, ended: bool = False) -> Iterator[int]:
+    def ready(self, ended: bool = False, at_most: int = 1) -> Iterator[int]:
         """Give, in order, the index of each frame that can be segmented now.
 
         The first frames lack a past, so they wait for a longer future. What has piled up by then
-        is worked off frame by frame beside what comes, lest the camera's frames pile up instead.
-        When the stream has `ended`, every frame is ready.
+        is worked off beside what comes, `at_most` so many at once, lest the camera's frames pile
+        up instead. When the stream has `ended`, every frame is ready.
         """
         given = 0
         while self._next_centre < self._count:
             late = self._count - self._next_centre > self._look_ahead
-            due = late and self._count >= self._warm_up and given < _CATCH_UP
+            due = late and self._count >= self._warm_up and given < at_most
             if not (ended or due):
                 return
             given += 1
