@@ -131,7 +131,8 @@ def test_in_haste_the_square_is_carried_along_between_measurements() -> None:
 def test_what_has_piled_up_is_worked_off_when_there_is_time_for_it() -> None:
     def answered(in_haste: bool) -> list[int]:
         segmenter = MotionSegmenter(PARAMETERS.replace({"latency.warm_up": 24}))
-        return [len(segmenter.push(frame, in_haste)) for frame in frames(CLIP)]
+        clip = list(SCENE.images(44))
+        return [len(segmenter.push(frame, in_haste)) for frame in frames(clip)]
 
     assert max(answered(in_haste=True)) == 1
     assert sum(answered(in_haste=False)) > sum(answered(in_haste=True)) > 0
