@@ -129,13 +129,14 @@ def test_in_haste_the_square_is_carried_along_between_measurements() -> None:
 
 
 def test_what_has_piled_up_is_worked_off_when_there_is_time_for_it() -> None:
-    def answered(in_haste: bool) -> list[int]:
-        segmenter = MotionSegmenter(PARAMETERS.replace({"latency.warm_up": 24}))
-        clip = list(SCENE.images(44))
-        return [len(segmenter.push(frame, in_haste)) for frame in frames(clip)]
+    sooner = {"latency.warm_up": 16, "flow.every": 1, "tracking.confirmation": 2}
 
-    assert max(answered(in_haste=True)) == 1
-    assert sum(answered(in_haste=False)) > sum(answered(in_haste=True)) > 0
+    def answered(in_haste: bool) -> list[int]:
+        segmenter = MotionSegmenter(PARAMETERS.replace(sooner))
+        return [len(segmenter.push(frame, in_haste)) for frame in frames(CLIP)]
+
+    assert answered(in_haste=True) == [0] * 17 + [1] * 13
+    assert answered(in_haste=False) == [0] * 16 + [1] + [2] * 9 + [1] * 4
 
 
 def test_in_haste_or_not_is_chosen_frame_by_frame() -> None:
