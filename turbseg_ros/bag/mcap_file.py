@@ -49,8 +49,9 @@ _FOOTER_SIZE = _RECORD_HEAD.size + struct.calcsize("<QQI")
 _LARGEST_CHUNK = 2**30
 # More messages than any recording holds: a count beyond is damage.
 MOST_MESSAGES = 2**40
-# Bytes that are decompressed at a time.
+# Bytes that are decompressed at a time, and at most at once.
 _PIECE = 2**20
+_MOST_AT_ONCE = 2**26
 # Later than any time that a file can state.
 _NEVER = 2**64
 # What the libraries raise on damaged content.
@@ -460,14 +461,20 @@ def _decompressed(chunk: Chunk) -> bytes:
     if chunk.compression == "":
         return chunk.data
     if chunk.compression == "zstd":
-        return _read_in_pieces(
-            zstandard.ZstdDecompressor().stream_reader(chunk.data), chunk.uncompressed_size
-        )
+        return _unpacked_zstd(chunk.data, chunk.uncompressed_size)
     if chunk.compression == "lz4":
         # Of the MCAP library's own dependencies.
         lz4 = importlib.import_module("lz4.frame")
         return _read_in_pieces(lz4.open(io.BytesIO(chunk.data)), chunk.uncompressed_size)
     raise _DamageError(f"it is compressed by {chunk.compression!r}, which is not known")
+
+
+def _unpacked_zstd(data: bytes, size: int) -> bytes:
+    decompressor = zstandard.ZstdDecompressor()
+    # Where both lengths agree, it takes one go; what is stated only once may be a lie.
+    if size <= _MOST_AT_ONCE and zstandard.frame_content_size(data) == size:
+        return decompressor.decompress(data)
+    return _read_in_pieces(decompressor.stream_reader(data), size)
 
 
 def _read_in_pieces(stream: Any, size: int) -> bytes:

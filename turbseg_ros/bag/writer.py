@@ -15,10 +15,12 @@ import yaml
 from mcap.writer import Writer
 from rclpy.qos import LivelinessPolicy, QoSProfile
 from rclpy.serialization import serialize_message
+from sensor_msgs.msg import Image
 
 from turbseg_ros.bag import qos as qos_format
 from turbseg_ros.bag.errors import BagError
 from turbseg_ros.bag.schema import message_definition, type_name_of
+from turbseg_ros.ros.serialised import serialised_image
 
 _METADATA_VERSION = 9  # of ROS 2 Jazzy
 _ROS_DISTRO = "jazzy"
@@ -102,7 +104,10 @@ class BagWriter:
 
     def write(self, topic: str, message: object, stamp_ns: int) -> None:
         """Append a ROS message, recorded at `stamp_ns` (nanoseconds since the epoch)."""
-        self.write_serialized(topic, type_name_of(message), serialize_message(message), stamp_ns)
+        cdr = (
+            serialised_image(message) if isinstance(message, Image) else serialize_message(message)
+        )
+        self.write_serialized(topic, type_name_of(message), cdr, stamp_ns)
 
     def write_serialized(self, topic: str, type_name: str, cdr: bytes, stamp_ns: int) -> None:
         """Append a message that is serialized as CDR already, encapsulation header included.

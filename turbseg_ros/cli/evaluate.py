@@ -18,6 +18,7 @@ from turbseg_ros.bag.reader import BagReader
 from turbseg_ros.bag.topics import LABELS_TOPIC, TRUTH_TOPIC
 from turbseg_ros.cli.arguments import positive_count
 from turbseg_ros.cli.errors import UsageError, executable
+from turbseg_ros.cli.memory import keep_large_buffers
 from turbseg_ros.cli.options import add_parameter_options, parameters_from, with_progress
 from turbseg_ros.evaluation.evaluate import EvaluationError, evaluate_labels
 from turbseg_ros.evaluation.experiments import (
@@ -56,6 +57,7 @@ _STRONGEST = 20.0
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the executable; give its exit status, 1 when a bag couldn't be scored."""
     options = _parser().parse_args(arguments)
+    keep_large_buffers()
     _check(options)
     parameters = parameters_from(options)
     try:

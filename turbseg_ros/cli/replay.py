@@ -12,6 +12,7 @@ from turbseg_ros.bag.reader import BagReader
 from turbseg_ros.bag.topics import RESULT_NAMESPACE
 from turbseg_ros.bag.writer import BagWriter
 from turbseg_ros.cli.errors import executable
+from turbseg_ros.cli.memory import keep_large_buffers
 from turbseg_ros.cli.options import add_parameter_options, parameters_from, with_progress
 from turbseg_ros.evaluation.replay import BagFrames, ahead, segment
 from turbseg_ros.factory import clip_segmenter
@@ -49,6 +50,7 @@ class ResultWriter:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the executable; give its exit status."""
     options = _parser().parse_args(arguments)
+    keep_large_buffers()
     parameters = parameters_from(options)
     reader = BagReader(options.bag)
     frames = BagFrames(reader, reader.find_image_topic(options.image_topic))

@@ -8,9 +8,9 @@ from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Protocol, TypeVar, cast
 
-from turbseg_ros.bag.errors import BagError
 from turbseg_ros.bag.reader import BagReader, Record
-from turbseg_ros.ros.image_conversion import ImageConversionError, frame_from_message
+from turbseg_ros.bag.schema import message_class
+from turbseg_ros.ros.image_conversion import ImageConversionError, frame_from_serialised
 from turbseg_ros.segmentation.frame import Frame, SegmentationResult
 
 T = TypeVar("T")
@@ -39,6 +39,7 @@ class BagFrames:
     def __init__(self, reader: BagReader, image_topic: str) -> None:
         self._reader = reader
         self._topic = image_topic
+        self._kind = message_class(reader.topics[image_topic].type_name)
         self.skipped = 0
         self.lost = 0
 
@@ -57,8 +58,8 @@ class BagFrames:
 
     def _frame(self, number: int, record: Record) -> Frame | None:
         try:
-            return frame_from_message(record.message())
-        except (BagError, ImageConversionError) as error:
+            return frame_from_serialised(memoryview(record.data), self._kind)
+        except ImageConversionError as error:
             self.skipped += 1
             _LOGGER.warning("image %d of %s skipped: %s", number, self._topic, error)
             return None

@@ -1,4 +1,4 @@
-"""Images read where they lie in a serialised message, without a copy of their data.
+"""Images read where they lie in a serialised message, and serialised with one copy of their data.
 
 The format is what DDS calls plain CDR (OMG DDSI-RTPS, section 10): four bytes about the format,
 then the fields in turn, each number aligned to its own size, strings and sequences after their
@@ -8,13 +8,16 @@ length. Needs the message packages, no running middleware.
 from __future__ import annotations
 
 import struct
+import sys
 from dataclasses import dataclass
 
 from builtin_interfaces.msg import Time
+from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
 _BYTE_ORDERS = {b"\x00\x00": ">", b"\x00\x01": "<"}
-_FORMAT_BYTES = 4
+_NATIVE_FORMAT = (b"\x00\x01" if sys.byteorder == "little" else b"\x00\x00") + b"\x00\x00"
+_FORMAT_BYTES = len(_NATIVE_FORMAT)
 
 
 class SerialisedDataError(ValueError):
@@ -67,6 +70,31 @@ def compressed_image_view(serialised: memoryview) -> CompressedImageView:
     """
     fields = _Fields(serialised)
     return CompressedImageView(fields.header(), fields.text(), fields.sequence())
+
+
+def serialised_image(image: Image) -> bytes:
+    """Give an image as rclpy would serialise it, in a fraction of the time."""
+    fields = bytearray()
+
+    def number(kind: str, value: int) -> None:
+        fields.extend(bytes(-len(fields) % struct.calcsize(kind)))
+        fields.extend(struct.pack(f"={kind}", value))
+
+    def text(value: str) -> None:
+        content = value.encode() + b"\0"
+        number("I", len(content))
+        fields.extend(content)
+
+    number("i", image.header.stamp.sec)
+    number("I", image.header.stamp.nanosec)
+    text(image.header.frame_id)
+    number("I", image.height)
+    number("I", image.width)
+    text(image.encoding)
+    number("B", image.is_bigendian)
+    number("I", image.step)
+    number("I", len(image.data))
+    return b"".join((_NATIVE_FORMAT, fields, memoryview(image.data)))
 
 
 class _Fields:
