@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from drawn_scene import ByteImage, texture
@@ -16,25 +17,27 @@ from turbseg_ros.segmentation.frame import Frame
 from turbseg_ros.segmentation.pipeline import MotionSegmenter
 
 SHAPE = (64, 96)
-PARAMETERS = Parameters.from_mapping({"resolution.processing": 64})
+SMALL = SHAPE[::-1]
+LONG = [pytest.mark.soak, pytest.mark.timeout(7200)]
 # A round of pictures, played again and again: a square crosses, then the scene is empty.
 ROUND, CROSSING = 48, 24
 
 
-def pictures() -> list[ByteImage]:
+def pictures(size: tuple[int, int]) -> list[ByteImage]:
     ground, square = texture(SHAPE, seed=1), texture((16, 16), seed=2, low=10, high=90)
     images = []
     for number in range(ROUND):
         image = ground.copy()
         if number < CROSSING:
             image[20:36, 3 * number : 3 * number + 16] = square
-        noise = np.random.default_rng(number).normal(0, 2, SHAPE)
+        image = cv2.resize(image, size, interpolation=cv2.INTER_NEAREST)
+        noise = np.random.default_rng(number).normal(0, 2, image.shape)
         images.append(np.clip(image + noise, 0, 255).astype(np.uint8))
     return images
 
 
-def frames(count: int) -> Iterator[Frame]:
-    images = pictures()
+def frames(count: int, size: tuple[int, int]) -> Iterator[Frame]:
+    images = pictures(size)
     for number in range(count):
         yield Frame(number * 33_000_000, images[number % ROUND])
 
@@ -45,15 +48,21 @@ def resident_bytes() -> int:
 
 
 @pytest.mark.parametrize(
-    ("count", "blocks"),
-    [(480, 5), pytest.param(100_000, 20, marks=[pytest.mark.soak, pytest.mark.timeout(7200)])],
-    ids=["short", "100,000"],
+    ("count", "blocks", "size", "processing"),
+    [
+        (480, 5, SMALL, 64),
+        pytest.param(100_000, 20, SMALL, 64, marks=LONG),
+        pytest.param(20_000, 20, (1920, 1080), 432, marks=LONG),
+    ],
+    ids=["short", "100,000", "20,000-1080p"],
 )
-def test_memory_and_time_a_frame_stay_flat(count: int, blocks: int) -> None:
-    segmenter = MotionSegmenter(PARAMETERS)
+def test_memory_and_time_a_frame_stay_flat(
+    count: int, blocks: int, size: tuple[int, int], processing: int
+) -> None:
+    segmenter = MotionSegmenter(Parameters.from_mapping({"resolution.processing": processing}))
     memory, pace, answered, highest = [], [], 0, 0
     begun = time.process_time()
-    for number, frame in enumerate(frames(count), start=1):
+    for number, frame in enumerate(frames(count, size), start=1):
         for result in segmenter.push(frame):
             assert result.frame.stamp == answered * 33_000_000
             answered += 1
