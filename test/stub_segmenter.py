@@ -25,7 +25,7 @@ class StubSegmenter:
         self._count = 0
         self._labels = np.zeros((0, 0), np.uint16)
 
-    def push(self, frame: Frame, in_haste: bool = False) -> list[SegmentationResult]:
+    def push(self, frame: Frame, waiting: int = 0) -> list[SegmentationResult]:
         self._count += 1
         time.sleep(self.cost)
         if self.fail_every and self._count % self.fail_every == 0:

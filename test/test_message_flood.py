@@ -186,7 +186,6 @@ def test_every_valid_message_is_answered_once_and_every_other_is_counted(count: 
         statistics=statistics,
         logger=logger,
         queue_size=count,
-        haste_from=10,
     )
     worker.start()
     begun = time.monotonic()

@@ -43,6 +43,7 @@ SETTINGS = {
     "resolution.detail": 160,
     "queue_size": 500,
     "latency.haste_from": 501,
+    "latency.sparse_from": 501,
 }
 ARGUMENTS = [item for name, value in SETTINGS.items() for item in ("-p", f"{name}:={value}")]
 

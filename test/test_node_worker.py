@@ -22,14 +22,14 @@ class DelayedSegmenter:
 
     def __init__(self):
         self.calls = []
-        self.hurried = []
+        self.waiting = []
         self.gate = threading.Event()
         self.gate.set()
         self.fail_at = ()
         self._window = []
 
-    def push(self, frame, in_haste=False):
-        self.hurried.append(in_haste)
+    def push(self, frame, waiting=0):
+        self.waiting.append(waiting)
         self.gate.wait(5.0)
         self.calls.append(frame.stamp)
         if frame.stamp in self.fail_at:
@@ -86,7 +86,6 @@ class Harness:
             statistics=self.statistics,
             logger=self.logger,
             queue_size=queue_size,
-            haste_from=3,
         )
         self.worker.start()
 
@@ -155,23 +154,15 @@ def test_keeps_the_newest_images_when_too_many_wait():
     assert harness.totals()[Event.DROPPED] == 7
 
 
-def test_hurries_while_many_images_wait(harness):
+def test_tells_the_segmenter_how_many_images_wait(harness):
     harness.segmenter.gate.clear()
     harness.submit(0)
-    while not harness.segmenter.hurried:
+    while not harness.segmenter.waiting:
         time.sleep(0.001)
     harness.submit(*stamps(6, PERIOD))
     harness.segmenter.gate.set()
     harness.finish()
-    # After the one that is waited for, five, four, three... wait behind each.
-    assert harness.segmenter.hurried == [False, True, True, True, False, False, False]
-
-
-def test_when_to_hurry_can_be_changed(harness):
-    harness.worker.reconfigure(Parameters.from_mapping({"latency.haste_from": 0}))
-    harness.submit(*stamps(2))
-    harness.finish()
-    assert harness.segmenter.hurried == [True, True]
+    assert harness.segmenter.waiting == [0, 5, 4, 3, 2, 1, 0]
 
 
 def test_an_image_that_cannot_be_read_is_skipped(harness):

@@ -117,7 +117,8 @@ def test_images_that_nobody_wants_are_not_kept(results: list[SegmentationResult]
 
 def test_in_haste_the_square_is_carried_along_between_measurements() -> None:
     segmenter = MotionSegmenter(PARAMETERS)
-    results = [result for frame in frames(CLIP) for result in segmenter.push(frame, in_haste=True)]
+    waiting = PARAMETERS.latency.haste_from
+    results = [result for frame in frames(CLIP) for result in segmenter.push(frame, waiting)]
     results += segmenter.flush()
     assert_sound(results)
     every = PARAMETERS.flow.every
@@ -131,19 +132,20 @@ def test_in_haste_the_square_is_carried_along_between_measurements() -> None:
 def test_what_has_piled_up_is_worked_off_when_there_is_time_for_it() -> None:
     sooner = {"latency.warm_up": 16, "flow.every": 1, "tracking.confirmation": 2}
 
-    def answered(in_haste: bool) -> list[int]:
+    def answered(waiting: int) -> list[int]:
         segmenter = MotionSegmenter(PARAMETERS.replace(sooner))
-        return [len(segmenter.push(frame, in_haste)) for frame in frames(CLIP)]
+        return [len(segmenter.push(frame, waiting)) for frame in frames(CLIP)]
 
-    assert answered(in_haste=True) == [0] * 17 + [1] * 13
-    assert answered(in_haste=False) == [0] * 16 + [1] + [2] * 9 + [1] * 4
+    haste = PARAMETERS.latency.haste_from
+    assert answered(waiting=haste) == [0] * 17 + [1] * 13
+    assert answered(waiting=haste - 1) == [0] * 16 + [1] + [2] * 9 + [1] * 4
 
 
 def test_in_haste_or_not_is_chosen_frame_by_frame() -> None:
     segmenter = MotionSegmenter(PARAMETERS.replace({"latency.warm_up": 0}))
     results = []
     for number, frame in enumerate(frames(CLIP)):
-        results += segmenter.push(frame, in_haste=number >= 20)
+        results += segmenter.push(frame, PARAMETERS.latency.haste_from if number >= 20 else 0)
     results += segmenter.flush()
     coasted = [result.frame.stamp for result in results if result.coasted]
     # What is segmented when a frame comes is one so many frames before it.
@@ -156,6 +158,35 @@ def test_in_haste_or_not_is_chosen_frame_by_frame() -> None:
 def test_always_in_haste_by_parameter() -> None:
     results = segmented(CLIP, PARAMETERS.replace({"latency.haste_from": 0}))
     assert any(result.coasted for result in results)
+
+
+def measured(results: list[SegmentationResult]) -> list[int]:
+    """Where all is in haste, what was not carried along: where motion was measured."""
+    return [result.frame.stamp for result in results if not result.coasted]
+
+
+def test_motion_is_measured_half_as_often_while_very_many_frames_wait() -> None:
+    every = PARAMETERS.flow.every
+    segmenter = MotionSegmenter(PARAMETERS)
+    waiting = PARAMETERS.latency.sparse_from
+    results = [result for frame in frames(CLIP) for result in segmenter.push(frame, waiting)]
+    results += segmenter.flush()
+    assert_sound(results)
+    assert measured(results) == list(range(0, len(results), 2 * every))
+    for number, result in enumerate(results[16:-2], 16):
+        assert jaccard(result.labels > 0, SCENE.truth(number)) > 0.5
+
+
+def test_after_the_rush_motion_is_measured_as_often_as_before() -> None:
+    every, latency = PARAMETERS.flow.every, PARAMETERS.latency
+    segmenter = MotionSegmenter(PARAMETERS.replace({"latency.warm_up": 0}))
+    results = []
+    for number, frame in enumerate(frames(CLIP)):
+        rush = number < 10 + every
+        results += segmenter.push(frame, latency.sparse_from if rush else latency.haste_from)
+    results += segmenter.flush()
+    answers = range(0, len(results), every)
+    assert measured(results) == [number for number in answers if number != every]
 
 
 def test_an_object_is_described_as_it_is_labelled(results: list[SegmentationResult]) -> None:

@@ -148,6 +148,14 @@ class LatencyParameters:
         minimum=0,
         maximum=1001,
     )
+    sparse_from: int = parameter(
+        4,
+        "Images that wait when motion is measured half as often as flow.every says. 0: always; "
+        "more than queue_size: never.",
+        unit="frames",
+        minimum=0,
+        maximum=1001,
+    )
 
 
 @dataclass(frozen=True)

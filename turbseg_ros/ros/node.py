@@ -71,7 +71,6 @@ class TurbsegNode(Node):  # type: ignore[misc]  # rclpy is read as untyped
             statistics=self._statistics,
             logger=self.get_logger(),
             queue_size=parameters.queue_size,
-            haste_from=parameters.latency.haste_from,
         )
         self._images: MatchingSubscription | None = self._subscribe()
         self.create_subscription(

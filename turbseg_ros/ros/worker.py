@@ -28,10 +28,10 @@ _STOP_TIMEOUT = 8.0
 class Segmenter(Protocol):
     """The part of `MotionSegmenter` that the worker drives."""
 
-    def push(self, frame: Frame, in_haste: bool = False) -> list[SegmentationResult]:
+    def push(self, frame: Frame, waiting: int = 0) -> list[SegmentationResult]:
         """Take the next frame; give the results that are ready, in order.
 
-        :param in_haste: whether to be done sooner counts for more than to be exact.
+        :param waiting: frames that wait to be pushed after it.
         """
 
     def flush(self) -> list[SegmentationResult]:
@@ -112,8 +112,8 @@ class SegmentationWorker:
     order of the frames: also when segmenting fails (the result is empty then), and also the last
     ones before a pause, whose look-ahead never comes: once the stream has paused, they are
     answered from what there is. Images are only left out before that point, and counted:
-    the oldest when more than `queue_size` wait, and what can't be read or repeats. While
-    `haste_from` or more wait, frames are segmented in haste.
+    the oldest when more than `queue_size` wait, and what can't be read or repeats. The segmenter
+    is told how many wait, and may hurry.
 
     `convert` turns a message into a frame or raises `ImageConversionError`; `now` gives the
     time, in nanoseconds, on the clock of the frames' stamps.
@@ -128,7 +128,6 @@ class SegmentationWorker:
         statistics: Statistics,
         logger: Any,
         queue_size: int,
-        haste_from: int,
     ) -> None:
         self._segmenter = segmenter
         self._convert = convert
@@ -138,7 +137,6 @@ class SegmentationWorker:
         self._logger = logger
         self._throttled = ThrottledLogger(logger)
         self._inbox = Inbox(queue_size)
-        self._haste_from = haste_from
         self._monitor = StreamMonitor()
         # Frames that wait for their result, and when they arrived, by stamp, in order.
         self._unanswered: dict[int, tuple[Frame, int]] = {}
@@ -224,9 +222,7 @@ class SegmentationWorker:
         self._unanswered[frame.stamp] = (frame.kept(), arrival.time)
         self._last_arrival = arrival.time
         self._answer(
-            functools.partial(
-                self._segmenter.push, frame, in_haste=self.waiting >= self._haste_from
-            ),
+            functools.partial(self._segmenter.push, frame, waiting=self.waiting),
             f"the image of {_seconds(frame.stamp)} s",
         )
 
@@ -246,7 +242,6 @@ class SegmentationWorker:
     def _reconfigure(self, parameters: Parameters) -> None:
         self._flush()
         self._segmenter.reconfigure(parameters)
-        self._haste_from = parameters.latency.haste_from
 
     def _stop(self) -> None:
         self._running = False

@@ -45,6 +45,8 @@ _SMALLEST_OUTLINE = 12
 _GUARD = 2
 # Frames segmented for each that comes while some have piled up.
 _CATCH_UP = 2
+# Periods of measuring motion from one time to the next while very many frames wait.
+_SPARSE = 2
 # A known object counts as resting when motion was found on less than this share of it.
 _RESTING = 0.6
 
@@ -108,7 +110,7 @@ class MotionSegmenter:
         p = self._parameters
         self._window = FrameWindow(
             # The frame in which motion was measured last is looked back to, too.
-            reach=max(_LONG * p.flow.interval, p.flow.every),
+            reach=max(_LONG * p.flow.interval, _SPARSE * p.flow.every),
             look_ahead=self._look_ahead,
             warm_up=0 if p.latency.mode == "causal" else p.latency.warm_up,
             memory=p.outline.memory,
@@ -124,7 +126,8 @@ class MotionSegmenter:
         self._finder.reset()
         self._moving: Moving | None = None
         self._outlook = _Outlook(0)
-        self._in_haste = False
+        self._in_haste = self._sparse = False
+        self._due = 0
         self._interval = p.flow.interval
 
     @property
@@ -153,15 +156,20 @@ class MotionSegmenter:
         p = self._parameters
         return 0 if p.latency.mode == "causal" else p.flow.interval + p.flow.every
 
-    def push(self, frame: Frame, in_haste: bool = False) -> list[SegmentationResult]:
+    def push(self, frame: Frame, waiting: int = 0) -> list[SegmentationResult]:
         """Take the next frame; give the results that are ready, of earlier frames mostly.
 
         Its image is still read until the next call.
 
-        :param in_haste: where motion isn't measured anew, carry objects along instead of looking
-            for them, and leave frames that have piled up for later: less exact, but done sooner.
+        :param waiting: frames that wait to be pushed after it. Where there are as many as the
+            parameters say, it is done sooner and less exactly: where motion isn't measured anew,
+            objects are carried along instead of looked for, frames that have piled up are left
+            for later, and with still more, motion is measured less often.
         """
-        self._in_haste = in_haste or self._parameters.latency.haste_from == 0
+        latency = self._parameters.latency
+        self._in_haste = waiting >= latency.haste_from
+        self._sparse = waiting >= latency.sparse_from
+        at_most = 1 if waiting >= max(latency.haste_from, 1) else _CATCH_UP
         results = []
         if self._kind and _kind_of(frame) != self._kind:
             results = self.flush()
@@ -170,7 +178,7 @@ class MotionSegmenter:
         self._prepare(frame)
         if not self._prepares_ahead:
             results += self._take_in()
-        return results + self._advance(ended=False, at_most=1 if in_haste else _CATCH_UP)
+        return results + self._advance(ended=False, at_most=at_most)
 
     def flush(self) -> list[SegmentationResult]:
         """Give the results of all frames that have none yet."""
@@ -300,7 +308,7 @@ class MotionSegmenter:
 
     def _is_due(self, centre: int) -> bool:
         """Tell whether motion is to be measured in a frame: in turn, or as none can be carried."""
-        if centre % self._parameters.flow.every == 0:
+        if centre == self._due:
             return True
         can_be_carried = self._moving is not None and self._window[centre].continues
         return not can_be_carried and not (self._lag and len(self._finder))
@@ -318,9 +326,11 @@ class MotionSegmenter:
     def _measure_ahead(self, centre: int) -> None:
         """Have motion measured in the next frame that is due, while outlines are drawn."""
         every = self._parameters.flow.every
-        due = (centre // every + 1) * every
-        if due < self._window.count and due not in self._finder:
-            self._order(due)
+        if centre >= self._due:
+            self._due = (centre // every + (_SPARSE if self._sparse else 1)) * every
+        is_at_hand = self._due < self._window.count and self._due <= centre + every
+        if is_at_hand and self._due not in self._finder:
+            self._order(self._due)
 
     def _order(self, centre: int) -> None:
         """Have what moves in a frame found beside what else is done."""
