@@ -32,8 +32,9 @@ class Segmenter(Protocol):
 class BagFrames:
     """The frames of a bag's image topic, in the order they were recorded.
 
-    An image that can't be read as one is warned about, counted in `skipped` and left out; `lost`
-    counts those that the bag states and that its damaged parts no longer give.
+    An image that can't be read as one is counted in `skipped` and left out, and the first of each
+    kind is warned about; `lost` counts those that the bag states and that its damaged parts no
+    longer give.
     """
 
     def __init__(self, reader: BagReader, image_topic: str) -> None:
@@ -42,6 +43,7 @@ class BagFrames:
         self._kind = message_class(reader.topics[image_topic].type_name)
         self.skipped = 0
         self.lost = 0
+        self._warned: set[type[ImageConversionError]] = set()
 
     def __len__(self) -> int:
         """Images that the bag states, those that turn out unreadable or lost included."""
@@ -61,7 +63,14 @@ class BagFrames:
             return frame_from_serialised(memoryview(record.data), self._kind)
         except ImageConversionError as error:
             self.skipped += 1
-            _LOGGER.warning("image %d of %s skipped: %s", number, self._topic, error)
+            if type(error) not in self._warned:
+                self._warned.add(type(error))
+                _LOGGER.warning(
+                    "image %d of %s skipped (others of the kind are only counted): %s",
+                    number,
+                    self._topic,
+                    error,
+                )
             return None
 
 
