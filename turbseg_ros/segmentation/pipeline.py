@@ -112,7 +112,7 @@ class MotionSegmenter:
             # The frame in which motion was measured last is looked back to, too.
             reach=max(_LONG * p.flow.interval, _SPARSE * p.flow.every),
             look_ahead=self._look_ahead,
-            warm_up=0 if p.latency.mode == "causal" else p.latency.warm_up,
+            warm_up=0 if self._is_causal else p.latency.warm_up,
             memory=p.outline.memory,
             key_step=p.outline.key_step,
         )
@@ -138,14 +138,18 @@ class MotionSegmenter:
     @property
     def look_ahead(self) -> int:
         """Frames that must follow a frame before its result is given."""
-        if self._parameters.latency.mode == "causal":
+        if self._is_causal:
             return 0
         return self._look_ahead + self._identities.delay + int(self._prepares_ahead)
 
     @property
+    def _is_causal(self) -> bool:
+        return self._parameters.latency.mode == "causal"
+
+    @property
     def _prepares_ahead(self) -> bool:
         """Whether a frame is prepared beside all else, and joins the others with the next."""
-        return self._parameters.latency.mode != "causal"
+        return not self._is_causal
 
     @property
     def _look_ahead(self) -> int:
@@ -153,8 +157,8 @@ class MotionSegmenter:
 
         They are its own neighbours and those of the frame measured next, which is then worked on.
         """
-        p = self._parameters
-        return 0 if p.latency.mode == "causal" else p.flow.interval + p.flow.every
+        flow = self._parameters.flow
+        return 0 if self._is_causal else flow.interval + flow.every
 
     def push(self, frame: Frame, waiting: int = 0) -> list[SegmentationResult]:
         """Take the next frame; give the results that are ready, of earlier frames mostly.
@@ -219,8 +223,7 @@ class MotionSegmenter:
             self._pending.append(self._segment(centre))
         if ended:
             self._identities.settle()
-        causal = self._parameters.latency.mode == "causal"
-        delay = 0 if ended or causal else self._identities.delay
+        delay = 0 if ended or self._is_causal else self._identities.delay
         results = []
         while len(self._pending) > delay:
             results.append(_result(self._pending.popleft()))
@@ -280,7 +283,7 @@ class MotionSegmenter:
         if p.flow.average == "slope" and p.motion.measure != "sampson":
             return [-_LONG * self._interval, -self._interval, self._interval]
         reach = range(1, widest + 1)
-        if p.latency.mode == "causal":
+        if self._is_causal:
             return [-k for k in reach] + [-k - widest for k in reach]
         return [*(-k for k in reach), *reach]
 
@@ -303,8 +306,7 @@ class MotionSegmenter:
 
         Meanwhile it is found beside what else is done.
         """
-        p = self._parameters
-        return (p.flow.every + 1) // 2 if p.latency.mode == "causal" else 0
+        return (self._parameters.flow.every + 1) // 2 if self._is_causal else 0
 
     def _is_due(self, centre: int) -> bool:
         """Tell whether motion is to be measured in a frame: in turn, or as none can be carried."""
