@@ -174,6 +174,18 @@ def test_an_object_behind_a_pole_stays_one() -> None:
     np.testing.assert_array_equal(painted([parted.candidate]), painted([left, right]))
 
 
+def test_an_object_keeps_its_id_though_a_part_of_it_was_seen_apart() -> None:
+    tracker = tracker_of()
+    for frame in range(10):
+        legs = crossing(frame, (5, 40), (2, 0), height=8)
+        update(tracker, [legs])
+    # The middle of the whole lies nearer to the part that is new than to the one that is known.
+    legs, trunk = (crossing(10, (5, y), (2, 0), height=h) for y, h in ((40, 8), (24, 10)))
+    assert {observed.track.id for observed in update(tracker, [legs, trunk])} == {0, 1}
+    whole = crossing(11, (5, 24), (2, 0), height=24)
+    assert only(update(tracker, [whole])).track.id == 1
+
+
 def test_two_objects_side_by_side_are_two() -> None:
     tracker = tracker_of()
     for frame in range(10):

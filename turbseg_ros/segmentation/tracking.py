@@ -200,17 +200,23 @@ class ObjectTracker:
         return result + [joined(members) for members in parts.values()]
 
     def _match(self, candidates: Sequence[Candidate], tilt: float) -> dict[int, Track]:
-        if not candidates or not self._tracks:
-            return {}
-        cost = np.array(
-            [[_cost(track, candidate, tilt) for candidate in candidates] for track in self._tracks]
-        )
-        rows, columns = linear_sum_assignment(cost)
-        return {
-            int(column): self._tracks[row]
-            for row, column in zip(rows, columns, strict=True)
-            if cost[row, column] < _UNMATCHABLE
-        }
+        """Give each candidate's track by the candidate's number; objects choose first.
+
+        Else what an object was split into for a frame would take its place.
+        """
+        matched: dict[int, Track] = {}
+        for confirmed in (True, False):
+            tracks = [track for track in self._tracks if track.confirmed == confirmed]
+            left = [number for number in range(len(candidates)) if number not in matched]
+            if not tracks or not left:
+                continue
+            cost = np.array(
+                [[_cost(track, candidates[number], tilt) for number in left] for track in tracks]
+            )
+            for row, column in zip(*linear_sum_assignment(cost), strict=True):
+                if cost[row, column] < _UNMATCHABLE:
+                    matched[left[column]] = tracks[row]
+        return matched
 
     def _confirm(self, track: Track, tilt: float) -> None:
         if track.confirmed or track.hits < self._confirmation or not track.candidate.moving:
