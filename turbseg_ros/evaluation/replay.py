@@ -11,6 +11,7 @@ from typing import Protocol, TypeVar, cast
 from turbseg_ros.bag.reader import BagReader, Record
 from turbseg_ros.bag.schema import message_class
 from turbseg_ros.ros.image_conversion import ImageConversionError, frame_from_serialised
+from turbseg_ros.ros.throttle import ThrottledLogger
 from turbseg_ros.segmentation.frame import Frame, SegmentationResult
 
 T = TypeVar("T")
@@ -32,9 +33,8 @@ class Segmenter(Protocol):
 class BagFrames:
     """The frames of a bag's image topic, in the order they were recorded.
 
-    An image that can't be read as one is counted in `skipped` and left out, and the first of each
-    kind is warned about; `lost` counts those that the bag states and that its damaged parts no
-    longer give.
+    An image that can't be read as one is warned about, throttled by kind, counted in `skipped` and
+    left out; `lost` counts those that the bag states and that its damaged parts no longer give.
     """
 
     def __init__(self, reader: BagReader, image_topic: str) -> None:
@@ -43,7 +43,7 @@ class BagFrames:
         self._kind = message_class(reader.topics[image_topic].type_name)
         self.skipped = 0
         self.lost = 0
-        self._warned: set[type[ImageConversionError]] = set()
+        self._throttled = ThrottledLogger(_LOGGER)
 
     def __len__(self) -> int:
         """Images that the bag states, those that turn out unreadable or lost included."""
@@ -63,14 +63,9 @@ class BagFrames:
             return frame_from_serialised(memoryview(record.data), self._kind)
         except ImageConversionError as error:
             self.skipped += 1
-            if type(error) not in self._warned:
-                self._warned.add(type(error))
-                _LOGGER.warning(
-                    "image %d of %s skipped (others of the kind are only counted): %s",
-                    number,
-                    self._topic,
-                    error,
-                )
+            self._throttled.warning(
+                type(error).__name__, f"image {number} of {self._topic} skipped: {error}"
+            )
             return None
 
 
