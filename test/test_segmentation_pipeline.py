@@ -160,6 +160,13 @@ def test_always_in_haste_by_parameter() -> None:
     assert any(result.coasted for result in results)
 
 
+def test_when_to_hurry_can_be_changed() -> None:
+    segmenter = MotionSegmenter(PARAMETERS)
+    segmenter.reconfigure(PARAMETERS.replace({"latency.haste_from": 0}))
+    results = [result for frame in frames(CLIP) for result in segmenter.push(frame)]
+    assert any(result.coasted for result in results)
+
+
 def measured(results: list[SegmentationResult]) -> list[int]:
     """Where all is in haste, what was not carried along: where motion was measured."""
     return [result.frame.stamp for result in results if not result.coasted]

@@ -173,7 +173,7 @@ class MotionSegmenter:
         latency = self._parameters.latency
         self._in_haste = waiting >= latency.haste_from
         self._sparse = waiting >= latency.sparse_from
-        at_most = 1 if waiting >= max(latency.haste_from, 1) else _CATCH_UP
+        at_most = 1 if self._in_haste and waiting else _CATCH_UP
         results = []
         if self._kind and _kind_of(frame) != self._kind:
             results = self.flush()
