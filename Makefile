@@ -32,14 +32,14 @@ JOBS ?= 2
 test: lint .venv/learning
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile
 
-# What a frame takes, in one run with rivals and a yardstick; figures in out/benchmark.json.
+# What a frame takes, in one run with baselines and a yardstick; figures in out/benchmark.json.
 bench: venv
 	$(BIN)/python -m turbseg_ros.cli benchmark --json out/benchmark.json
 
 # What the README shows under "How well": tables on the terminal, pictures in docs/images.
 figures: venv
-	$(BIN)/python -m turbseg_ros.cli evaluate bags/* --rivals mog2,knn,paper --report out/report
-	$(BIN)/python -m turbseg_ros.cli evaluate bags/normal bags/thermal --rivals mog2,knn,paper \
+	$(BIN)/python -m turbseg_ros.cli evaluate bags/* --baselines mog2,knn,paper --report out/report
+	$(BIN)/python -m turbseg_ros.cli evaluate bags/normal bags/thermal --baselines mog2,knn,paper \
 		--tilt-curve 0,0.5,1,2 --shake-curve 0,2,4 --curves docs/images
 	rm -rf out/severe
 	$(BIN)/python -m turbseg_ros.cli replay bags/severe -o out/severe --overlay docs/images/severe.jpg
@@ -55,7 +55,7 @@ FUZZ_MINUTES ?= 5
 FUZZ_LIMITS = -max_total_time=$$((60 * $(FUZZ_MINUTES))) -rss_limit_mb=2048 -timeout=30
 fuzz: venv
 	$(BIN)/python -m pip install --quiet $(CONSTRAINTS) --no-build-isolation --editable '.[fuzz]'
-	for harness in bag_reader image_conversion; do \
+	for harness in bag_reader images; do \
 	    found=out/fuzz/$$harness; mkdir -p $$found/findings && \
 	    $(BIN)/python test/fuzz/$$harness.py $(FUZZ_LIMITS) -artifact_prefix=$$found/findings/ \
 	        $$found test/fuzz/corpus/$$harness || exit 1; \

@@ -31,7 +31,7 @@ def ros_log_dir(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 @pytest.fixture(scope="module")
 def context() -> Iterator[Context]:
-    """Give a context for nodes within the test's own process."""
+    """Return a context for nodes within the test's own process."""
     context = Context()
     context.init()
     yield context

@@ -7,7 +7,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from node_harness import NodeProcess, Probe
+
+from support.node_harness import NodeProcess, Probe
 
 SOURCE = Path(__file__).parents[1]
 NOT_SOURCE = shutil.ignore_patterns(

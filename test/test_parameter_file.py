@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rclpy.context import Context
 from rclpy.node import Node
-from test_parameters import MAPPINGS
 
+from support.parameter_values import MAPPINGS
 from turbseg_ros.parameter_file import load_parameters
 from turbseg_ros.parameters import ParameterError, Parameters
 

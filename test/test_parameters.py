@@ -6,8 +6,8 @@ import math
 
 import pytest
 from hypothesis import given
-from hypothesis import strategies as st
 
+from support.parameter_values import DECLARED, FREE_TEXTS, MAPPINGS
 from turbseg_ros.parameters import (
     Declaration,
     ParameterError,
@@ -15,28 +15,6 @@ from turbseg_ros.parameters import (
     UnknownParameterError,
     belongs_to_middleware,
     declarations,
-)
-
-DECLARED = {declaration.name: declaration for declaration in declarations()}
-
-
-def values_of(declaration: Declaration) -> st.SearchStrategy:
-    """Any value that a parameter takes."""
-    if declaration.choices:
-        return st.sampled_from(declaration.choices)
-    if declaration.type is bool:
-        return st.booleans()
-    if declaration.type is int:
-        return st.integers(declaration.minimum, declaration.maximum)
-    if declaration.type is float:
-        return st.floats(declaration.minimum, declaration.maximum)
-    return st.text()
-
-
-# Texts that are no choice among some.
-FREE_TEXTS = ("flow.weights",)
-MAPPINGS = st.fixed_dictionaries(
-    {}, optional={name: values_of(declaration) for name, declaration in DECLARED.items()}
 )
 
 

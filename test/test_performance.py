@@ -10,8 +10,8 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 import pytest
-from drawn_scene import DrawnScene
 
+from support.drawn_scene import DrawnScene
 from turbseg_ros.evaluation.benchmark import YARDSTICK_SIZE, endless
 from turbseg_ros.parameters import Parameters
 from turbseg_ros.segmentation.frame import Frame, SegmentationResult

@@ -18,11 +18,11 @@ from turbseg_ros.segmentation.pipeline import MotionSegmenter
 from turbseg_ros.segmentation.refinement import Refiner
 
 if TYPE_CHECKING:
-    from turbseg_ros.learning.optimise import ClipRefiner
+    from turbseg_ros.learning.clip_refinement import ClipRefiner
 
 
 def motion_segmenter(parameters: Parameters) -> MotionSegmenter:
-    """Give a new segmenter, with the networks that the parameters choose.
+    """Return a new segmenter, with the networks that the parameters choose.
 
     Its own threads fill the cores: OpenCV's, which would only wait for them, are turned off.
 
@@ -41,7 +41,7 @@ def motion_segmenter(parameters: Parameters) -> MotionSegmenter:
 def clip_segmenter(
     parameters: Parameters, shown: Callable[[range], Iterable[int]] = iter
 ) -> MotionSegmenter | ClipRefiner:
-    """Give a new segmenter for a recorded clip.
+    """Return a new segmenter for a recorded clip.
 
     :param shown: hands epochs on while it shows how many a network has been fitted for.
     :raises ParameterError: when a network, its weights or its device can't be had.
@@ -50,14 +50,14 @@ def clip_segmenter(
     if refine.mode != "optimise":
         return motion_segmenter(parameters)
     require_torch("refine.mode optimise")
-    from turbseg_ros.learning.optimise import ClipRefiner
+    from turbseg_ros.learning.clip_refinement import ClipRefiner
 
     segmenter = MotionSegmenter(parameters, flow=flow_backend(parameters))
     return ClipRefiner(segmenter, refine.epochs, refine.grouping, shown)
 
 
 def refiner(parameters: Parameters) -> Refiner | None:
-    """Give what draws the outlines of a live stream; None for the rules."""
+    """Return what draws the outlines of a live stream; None for the rules."""
     if parameters.refine.mode == "none":
         return None
     from turbseg_ros.learning.pretrained import PretrainedRefiner
@@ -66,7 +66,7 @@ def refiner(parameters: Parameters) -> Refiner | None:
 
 
 def flow_backend(parameters: Parameters) -> FlowBackend | None:
-    """Give what computes optical flow; None for DIS.
+    """Return what computes optical flow; None for DIS.
 
     :raises ParameterError: when the network, its weights or its device can't be had.
     """

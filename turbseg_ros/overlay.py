@@ -43,14 +43,14 @@ _SHIFT = 4
 
 
 def colour_of(object_id: int) -> Colour:
-    """Give the colour (blue, green, red) that belongs to an object id."""
+    """Return the colour (blue, green, red) that belongs to an object id."""
     return _PALETTE[object_id % len(_PALETTE)]
 
 
 def outlines(
     labels: npt.NDArray[np.uint16], moving_object: MovingObject
 ) -> list[npt.NDArray[np.int32]]:
-    """Give an object's outer contours in the image, each Nx2 (x, y) and closed."""
+    """Return an object's outer contours in the image, each Nx2 (x, y) and closed."""
     x, y, width, height = moving_object.box
     window = np.ascontiguousarray(labels[y : y + height, x : x + width])
     mask = (window == moving_object.label).view(np.uint8)
@@ -81,7 +81,7 @@ class Canvas:
         return float(np.clip(self.image.shape[0] / 28.0, 9.0, 30.0)) / _FONT_HEIGHT
 
     def fixed_point(self, points: npt.ArrayLike) -> npt.NDArray[np.int32]:
-        """Give frame positions (x, y) on the canvas, in OpenCV's fixed-point numbers."""
+        """Return frame positions (x, y) on the canvas, in OpenCV's fixed-point numbers."""
         # A pixel's centre lies at a whole number in the frame and on the canvas alike.
         on_canvas = (np.asarray(points, dtype=np.float64) + 0.5) * self.scale - 0.5
         return np.rint(on_canvas * (1 << _SHIFT)).astype(np.int32)
@@ -196,7 +196,7 @@ class OverlayStrip:
         self._seen += 1
 
     def picture(self, columns: int = 3) -> npt.NDArray[np.uint8]:
-        """Give what was drawn, line by line: uint8 HxWx3 (blue, green, red).
+        """Return what was drawn, line by line: uint8 HxWx3 (blue, green, red).
 
         :raises ValueError: when there was no result.
         """
@@ -204,13 +204,13 @@ class OverlayStrip:
 
 
 def evenly_spaced(total: int, wanted: int) -> list[int]:
-    """Give at most `wanted` indices from the whole of `range(total)`, both ends among them."""
+    """Return at most `wanted` indices from the whole of `range(total)`, both ends among them."""
     count = min(total, wanted)
     return [int(index) for index in np.rint(np.linspace(0, total - 1, count))]
 
 
 def to_bgr8(image: Image, tone: ToneMap | None = None) -> npt.NDArray[np.uint8]:
-    """Give a copy of an image for people: uint8 HxWx3, 16-bit and float values stretched.
+    """Return a copy of an image for people: uint8 HxWx3, 16-bit and float values stretched.
 
     `tone` stretches them, by default as this image alone asks for.
     """
@@ -269,7 +269,7 @@ def write_text(canvas: Canvas, text: str, corner: tuple[int, int], colour: Colou
 
 
 def _ink(text: str, scale: float) -> npt.NDArray[np.uint8]:
-    """Give the opacity of a text's pixels, 0 to 255, with room for a rim."""
+    """Return the opacity of a text's pixels, 0 to 255, with room for a rim."""
     (width, height), baseline = cv2.getTextSize(text, _FONT, scale, 1)
     margin = 2
     ink = np.zeros((height + baseline + 2 * margin, width + 2 * margin), np.uint8)

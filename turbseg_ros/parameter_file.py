@@ -61,7 +61,7 @@ def _values_for(node: str | None, content: object) -> dict[str, object]:
 def _sections(
     tree: Mapping[Any, object], prefix: str = ""
 ) -> Iterator[tuple[str, Mapping[Any, object]]]:
-    """Give the patterns of node names, in the file's order, and what is set under each."""
+    """Return the patterns of node names, in the file's order, and what is set under each."""
     for key, value in tree.items():
         pattern = prefix + _absolute(str(key))
         if not isinstance(value, dict):
@@ -76,7 +76,7 @@ def _sections(
 
 
 def _only_node(patterns: Iterator[str]) -> str:
-    """Give the node of ours that a file speaks of, whatever its namespace."""
+    """Return the node of ours that a file speaks of, whatever its namespace."""
     named = {
         pattern for pattern in patterns if pattern.endswith(f"/{_NODE}") and "*" not in pattern
     }
@@ -90,7 +90,7 @@ def _absolute(name: str) -> str:
 
 
 def _matches(pattern: str, node: str) -> bool:
-    """Tell whether a name pattern holds for a node, by the rules of rcl's parameter files."""
+    """Whether a name pattern holds for a node, by the rules of rcl's parameter files."""
     tokens = {"*": "/[^/]+", "**": "(/[^/]+)*"}
     parts = (tokens.get(token, "/" + re.escape(token)) for token in pattern.split("/")[1:])
     return re.fullmatch("".join(parts), node) is not None

@@ -47,7 +47,7 @@ class Declaration:
         return type(self.default)
 
     def check(self, value: object) -> Value:
-        """Give `value` in the declared type.
+        """Return `value` in the declared type.
 
         :raises ParameterError: when it has another type, is out of range or is no listed choice.
         """
@@ -443,7 +443,7 @@ class Parameters:
         return cls().replace(values)
 
     def replace(self, values: Mapping[str, object]) -> Parameters:
-        """Give a copy with the named values changed, all of them or, on an error, none.
+        """Return a copy with the named values changed, all of them or, on an error, none.
 
         :raises ParameterError: for a name that is not declared or a value that is refused.
         """
@@ -461,7 +461,7 @@ class Parameters:
 
 
 def declarations() -> tuple[Declaration, ...]:
-    """Give every parameter's declaration, in order."""
+    """Return every parameter's declaration, in order."""
     return tuple(
         Declaration(name=name, default=value, **declared.metadata)
         for name, declared, value in _walk(Parameters())
@@ -469,12 +469,12 @@ def declarations() -> tuple[Declaration, ...]:
 
 
 def belongs_to_middleware(name: str) -> bool:
-    """Tell whether `name` is one that every ROS node has, as `use_sim_time`."""
+    """Whether `name` is one that every ROS node has, as `use_sim_time`."""
     return name.split(".")[0] in _MIDDLEWARE_NAMES
 
 
 def markdown_table() -> str:
-    """Give the README's table of parameters."""
+    """Return the README's table of parameters."""
     rows = ["| parameter | default | range | what it is |", "| --- | --- | --- | --- |"]
     for declared in declarations():
         if declared.choices:

@@ -24,7 +24,7 @@ with atheris.instrument_imports(include=["turbseg_ros", "mcap"]):
 from mcap.writer import CompressionType, Writer
 
 # Enough to go through every branch; a flood of tiny messages is no finding.
-MOST_MESSAGES = 1000
+MAX_MESSAGES = 1000
 MAGIC = b"\x89MCAP0\r\n"
 FOLDER = Path(tempfile.mkdtemp(prefix="fuzz_bag_"))
 
@@ -48,7 +48,7 @@ SOUND = sound_file()
 
 
 def chunk_file(content: bytes) -> bytes:
-    """Give a file that was cut behind a chunk with such content."""
+    """Return a file that was cut behind a chunk with such content."""
     body = struct.pack("<QQQIIQ", 0, 1, len(content), 0, 0, len(content)) + content
     header = struct.pack("<BQ", 1, 12) + struct.pack("<I", 4) + b"ros2" + struct.pack("<I", 0)
     return MAGIC + header + struct.pack("<BQ", 6, len(body)) + body
@@ -57,7 +57,7 @@ def chunk_file(content: bytes) -> bytes:
 def read(path: Path) -> None:
     reader = BagReader(path)
     assert reader.duration_ns >= 0
-    for record in itertools.islice(reader.messages(), MOST_MESSAGES):
+    for record in itertools.islice(reader.messages(), MAX_MESSAGES):
         assert record.topic in reader.topics
         try:
             record.message()

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 # What a name from a bag may take up of an error's text.
-_LONGEST = 1000
+_MAX_LENGTH = 1000
 
 
 class BagError(Exception):
@@ -17,11 +17,11 @@ class BagError(Exception):
     """
 
     def __init__(self, text: str) -> None:
-        super().__init__(printable(text, _LONGEST))
+        super().__init__(printable(text, _MAX_LENGTH))
 
 
 def printable(text: str, longest: int) -> str:
-    """Give a text as one line of so many characters at most, control characters written out."""
+    """Return a text as one line of so many characters at most, control characters written out."""
     line = " ".join(text.split())
     shown = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line[:longest])
     return shown + "..." * (len(line) > longest)

@@ -46,12 +46,12 @@ _COMPRESSIONS = ("", "zstd", "lz4")
 _RECORD_HEAD = struct.Struct("<BQ")
 _FOOTER_SIZE = _RECORD_HEAD.size + struct.calcsize("<QQI")
 # A chunk holds one message at least; 1 GiB is an uncompressed 8K picture five times over.
-_LARGEST_CHUNK = 2**30
+_MAX_CHUNK = 2**30
 # More messages than any recording holds: a count beyond is damage.
-MOST_MESSAGES = 2**40
+MAX_MESSAGES = 2**40
 # Bytes that are decompressed at a time, and at most at once.
 _PIECE = 2**20
-_MOST_AT_ONCE = 2**26
+_MAX_AT_ONCE = 2**26
 # Later than any time that a file can state.
 _NEVER = 2**64
 # What the libraries raise on damaged content.
@@ -110,7 +110,7 @@ class McapFile:
         return sum(self.counts.values())
 
     def messages(self, topics: Collection[str] | None) -> Iterator[tuple[Channel, Message]]:
-        """Give the messages of `topics`, of all by default, in the order of time.
+        """Return the messages of `topics`, of all by default, in the order of time.
 
         In a file without chunks they come as they lie. What is damaged is left out with a
         warning. Memory holds no more than the chunks that overlap in time.
@@ -132,7 +132,7 @@ class McapFile:
     def _selected(
         self, stream: BinaryIO, wanted: Collection[int]
     ) -> Iterator[tuple[int, list[Message]]]:
-        """Give the start of each chunk, by time, and its messages on the wanted channels."""
+        """Return the start of each chunk, by time, and its messages on the wanted channels."""
         spoilt: list[str] = []
         for chunk in sorted(self.chunks, key=lambda chunk: (chunk.start_ns, chunk.offset)):
             if chunk.channels and chunk.channels.isdisjoint(wanted):
@@ -223,10 +223,7 @@ def _indexed(path: Path, summary: Summary) -> McapFile:
     statistics = summary.statistics
     assert statistics is not None  # asked before
     counts = dict(statistics.channel_message_counts)
-    if (
-        sum(counts.values()) != statistics.message_count
-        or statistics.message_count > MOST_MESSAGES
-    ):
+    if sum(counts.values()) != statistics.message_count or statistics.message_count > MAX_MESSAGES:
         raise _DamageError("its counts contradict one another")
     if statistics.message_end_time < statistics.message_start_time:
         raise _DamageError("its last message comes before its first")
@@ -362,7 +359,7 @@ class _RawRecord:
     def content(self) -> bytes:
         """Read what is behind its head."""
         length = self.end - self.begin - _RECORD_HEAD.size
-        if length > _LARGEST_CHUNK:
+        if length > _MAX_CHUNK:
             raise _DamageError(f"it is {length} bytes long")
         self.stream.seek(self.begin + _RECORD_HEAD.size)
         return self.stream.read(length)
@@ -432,7 +429,7 @@ def _in_order_of_time(chunks: Iterator[tuple[int, list[Message]]]) -> Iterator[M
 
 
 def _read_chunk(stream: BinaryIO, offset: int, length: int) -> Chunk:
-    if length > _LARGEST_CHUNK:
+    if length > _MAX_CHUNK:
         raise _DamageError(f"it is {length} bytes long")
     stream.seek(offset)
     record = stream.read(length)
@@ -445,9 +442,9 @@ def _read_chunk(stream: BinaryIO, offset: int, length: int) -> Chunk:
 
 
 def _chunk_content(chunk: Chunk) -> list[McapRecord]:
-    """Give the records in a chunk, decompressed to no more than it states and checked."""
+    """Return the records in a chunk, decompressed to no more than it states and checked."""
     size = chunk.uncompressed_size
-    if size > _LARGEST_CHUNK:
+    if size > _MAX_CHUNK:
         raise _DamageError(f"it states {size} bytes of content")
     content = _decompressed(chunk)
     if len(content) != size:
@@ -472,7 +469,7 @@ def _decompressed(chunk: Chunk) -> bytes:
 def _unpacked_zstd(data: bytes, size: int) -> bytes:
     decompressor = zstandard.ZstdDecompressor()
     # Where both lengths agree, it takes one go; what is stated only once may be a lie.
-    if size <= _MOST_AT_ONCE and zstandard.frame_content_size(data) == size:
+    if size <= _MAX_AT_ONCE and zstandard.frame_content_size(data) == size:
         return decompressor.decompress(data)
     return _read_in_pieces(decompressor.stream_reader(data), size)
 

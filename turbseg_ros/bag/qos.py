@@ -24,12 +24,12 @@ _POLICIES = {
 }
 _DURATIONS = ("deadline", "lifespan", "liveliness_lease_duration")
 # What the middleware can hold.
-_DEEPEST = 2**31 - 1
+_MAX_DEPTH = 2**31 - 1
 _NANOSECONDS = 1_000_000_000
 
 
 def to_metadata(profile: QoSProfile) -> dict[str, Any]:
-    """Give a profile as an entry of `offered_qos_profiles`, metadata version 9."""
+    """Return a profile as an entry of `offered_qos_profiles`, metadata version 9."""
     return {
         "history": profile.history.short_key,
         "depth": profile.depth,
@@ -44,7 +44,7 @@ def to_metadata(profile: QoSProfile) -> dict[str, Any]:
 
 
 def to_yaml(profiles: Sequence[QoSProfile]) -> str:
-    """Give profiles as the text that a channel's metadata holds."""
+    """Return profiles as the text that a channel's metadata holds."""
     return yaml.safe_dump([to_metadata(profile) for profile in profiles], sort_keys=False)
 
 
@@ -68,7 +68,7 @@ def _from_metadata(entry: Mapping[str, Any]) -> QoSProfile:
     policies = {name: _policy(kind, entry[name]) for name, kind in _POLICIES.items()}
     durations = {name: _duration(entry[name]) for name in _DURATIONS}
     depth = int(entry["depth"])
-    if depth > _DEEPEST:
+    if depth > _MAX_DEPTH:
         raise ValueError(f"depth {depth}")
     return QoSProfile(depth=depth, **policies, **durations)
 

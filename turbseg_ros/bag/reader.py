@@ -17,7 +17,7 @@ from rclpy.serialization import deserialize_message
 
 from turbseg_ros.bag import qos as qos_format
 from turbseg_ros.bag.errors import BagError, printable, reading
-from turbseg_ros.bag.mcap_file import MOST_MESSAGES, McapFile, open_mcap
+from turbseg_ros.bag.mcap_file import MAX_MESSAGES, McapFile, open_mcap
 from turbseg_ros.bag.schema import message_class
 from turbseg_ros.bag.topics import TRUTH_NAMESPACE
 
@@ -27,7 +27,7 @@ _IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 # How rosbag2 names the files that it splits a recording into.
 _SPLIT_NAME = re.compile(r"(?P<stem>.+)_(?P<number>\d+)\.mcap")
 # A metadata.yaml of a thousand topics is smaller than this, in bytes.
-_LARGEST_METADATA = 2**24
+_MAX_METADATA = 2**24
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class Record:
     data: bytes
 
     def message(self) -> Any:
-        """Give the ROS message.
+        """Return the ROS message.
 
         :raises BagError: when the data is damaged or its message type isn't installed.
         """
@@ -121,7 +121,7 @@ class BagReader:
         return max((file.end_ns for file in filled), default=0) - start
 
     def find_image_topic(self, requested: str | None = None) -> str:
-        """Give the topic whose images are to be segmented.
+        """Return the topic whose images are to be segmented.
 
         That is `requested`, or else the only one with images that are not ground truth.
 
@@ -149,7 +149,7 @@ class BagReader:
         return inputs[0]
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Record]:
-        """Give the messages of `topics`, of all by default, in the order they were recorded.
+        """Return the messages of `topics`, of all by default, in the order they were recorded.
 
         Memory holds no more than the chunks that overlap in time. Chunks that turn out to be
         damaged are left out, with a warning.
@@ -161,12 +161,12 @@ class BagReader:
 
 
 def _information(path: Path) -> Mapping[str, Any] | None:
-    """Give what a bag's metadata.yaml says, None when it has none."""
+    """Return what a bag's metadata.yaml says, None when it has none."""
     metadata = path / "metadata.yaml"
     if not metadata.is_file():
         return None
     try:
-        if metadata.stat().st_size > _LARGEST_METADATA:
+        if metadata.stat().st_size > _MAX_METADATA:
             raise BagError(f"{metadata} is too large: {metadata.stat().st_size} bytes")
         information = yaml.safe_load(metadata.read_text())["rosbag2_bagfile_information"]
     except (yaml.YAMLError, KeyError, TypeError, ValueError, RecursionError) as error:
@@ -240,7 +240,7 @@ def _listed_files(directory: Path, information: Mapping[str, Any]) -> list[Path]
 
 
 def _stated_counts(information: Mapping[str, Any] | None) -> dict[str, int]:
-    """Give the messages of each topic that metadata.yaml states; nothing when it is damaged."""
+    """Return the messages of each topic that metadata.yaml states; nothing when it is damaged."""
     try:
         counts = {
             str(entry["topic_metadata"]["name"]): int(entry["message_count"])
@@ -248,7 +248,7 @@ def _stated_counts(information: Mapping[str, Any] | None) -> dict[str, int]:
         }
     except (KeyError, TypeError, ValueError, OverflowError):
         return {}
-    return counts if all(0 <= count <= MOST_MESSAGES for count in counts.values()) else {}
+    return counts if all(0 <= count <= MAX_MESSAGES for count in counts.values()) else {}
 
 
 def _sqlite_error(path: Path) -> BagError:

@@ -35,7 +35,7 @@ class MessageDefinition:
 
 @functools.cache
 def message_definition(type_name: str) -> MessageDefinition:
-    """Give the definition of `type_name`, such as `sensor_msgs/msg/Image`.
+    """Return the definition of `type_name`, such as `sensor_msgs/msg/Image`.
 
     :raises BagError: when no installed package has that type.
     """
@@ -55,7 +55,7 @@ def message_definition(type_name: str) -> MessageDefinition:
 
 @functools.cache
 def message_class(type_name: str) -> type[Any]:
-    """Give the Python class of `type_name`, such as `sensor_msgs/msg/Image`.
+    """Return the Python class of `type_name`, such as `sensor_msgs/msg/Image`.
 
     :raises BagError: when no installed package has that type.
     """
@@ -70,7 +70,7 @@ def message_class(type_name: str) -> type[Any]:
 
 
 def type_name_of(message: object) -> str:
-    """Give the name of a message's type, such as `sensor_msgs/msg/Image`."""
+    """Return the name of a message's type, such as `sensor_msgs/msg/Image`."""
     kind = type(message)
     return f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
 
@@ -86,7 +86,7 @@ def _interface_file(type_name: str, suffix: str) -> str:
 
 
 def _prefixes() -> list[Path]:
-    """Give the roots that packages are installed under: of ROS, and of Python for wheels."""
+    """Return the roots that packages are installed under: of ROS, and of Python for wheels."""
     sourced = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
     return [Path(prefix) for prefix in [*sourced, sys.prefix] if prefix]
 

@@ -20,7 +20,7 @@ from sensor_msgs.msg import Image
 from turbseg_ros.bag import qos as qos_format
 from turbseg_ros.bag.errors import BagError
 from turbseg_ros.bag.schema import message_definition, type_name_of
-from turbseg_ros.ros.serialised import serialised_image
+from turbseg_ros.messages.cdr import serialised_image
 
 _METADATA_VERSION = 9  # of ROS 2 Jazzy
 _ROS_DISTRO = "jazzy"
@@ -155,7 +155,7 @@ class BagWriter:
             self._partial.rename(self._path)
 
     def _information(self) -> dict[str, Any]:
-        """Give what `metadata.yaml` says of the bag."""
+        """Return what `metadata.yaml` says of the bag."""
         start = self._first_stamp or 0
         extent = {
             "starting_time": {"nanoseconds_since_epoch": start},

@@ -48,7 +48,7 @@ _STARTERS = {
 
 
 def main() -> int:
-    """Run the executable that the first argument names; give its exit status."""
+    """Run the executable that the first argument names; return its exit status."""
     name = sys.argv.pop(1) if len(sys.argv) > 1 else ""
     if name not in _STARTERS:
         print(f"usage: python -m turbseg_ros.cli {{{','.join(_STARTERS)}}} ...", file=sys.stderr)

@@ -1,4 +1,4 @@
-"""`turbseg_benchmark`: what a frame takes, stage by stage and beside rivals, at several sizes."""
+"""`turbseg_benchmark`: a frame's time, stage by stage and beside baselines, at several sizes."""
 
 from __future__ import annotations
 
@@ -15,9 +15,20 @@ from typing import Any
 import cv2
 import numpy as np
 
-from turbseg_ros.cli.arguments import positive_count
 from turbseg_ros.cli.errors import UsageError, executable
-from turbseg_ros.cli.options import add_parameter_options, parameters_from, with_progress
+from turbseg_ros.cli.options import (
+    add_parameter_options,
+    parameters_from,
+    positive_count,
+    with_progress,
+)
+from turbseg_ros.evaluation.baselines import (
+    BASELINES,
+    BackgroundSubtraction,
+    Method,
+    TurbsegMethod,
+    config_path,
+)
 from turbseg_ros.evaluation.benchmark import (
     YARDSTICK_SIZE,
     Footprint,
@@ -25,13 +36,6 @@ from turbseg_ros.evaluation.benchmark import (
     endless,
     footprint,
     measure,
-)
-from turbseg_ros.evaluation.rivals import (
-    RIVALS,
-    BackgroundSubtraction,
-    Contender,
-    Method,
-    config_path,
 )
 from turbseg_ros.parameter_file import load_parameters
 from turbseg_ros.parameters import Parameters
@@ -50,19 +54,19 @@ _CLIP = 30
 # Enough for the first frames to be caught up with and for the background's memory to be full.
 _WARM_UP = 75
 _KINDS = ("sedan", "person", "van", "pickup")
-_MOST_OBJECTS = 16
+_MAX_OBJECTS = 16
 
 
 @executable("turbseg_benchmark")
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the executable; give its exit status."""
+    """Run the executable; return its exit status."""
     options = _parser().parse_args(arguments)
     parameters = parameters_from(options)
     if options.json is not None:
         options.json.parent.mkdir(parents=True, exist_ok=True)
-    if not 0 <= options.objects <= _MOST_OBJECTS:
-        raise UsageError(f"--objects {options.objects}: give 0 to {_MOST_OBJECTS}")
-    contenders = _contenders(options.rivals, parameters)
+    if not 0 <= options.objects <= _MAX_OBJECTS:
+        raise UsageError(f"--objects {options.objects}: give 0 to {_MAX_OBJECTS}")
+    methods = _methods(options.baselines, parameters)
     scene = _scene(options.objects)
     clip = [
         rendered.image
@@ -73,7 +77,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         count = _WARM_UP + options.frames
         frames = itertools.islice(endless(clip, size, _RATE_HZ), count)
         title = f"{size[0]}x{size[1]}"
-        timing = measure(contenders, with_progress(frames, title, total=count), _WARM_UP, size)
+        timing = measure(methods, with_progress(frames, title, total=count), _WARM_UP, size)
         needs = footprint(parameters, itertools.islice(endless(clip, size, _RATE_HZ), count))
         print("", *_table(timing, needs, options), sep="\n", flush=True)
         cases.append((timing, needs))
@@ -82,20 +86,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _contenders(rivals: Sequence[str], parameters: Parameters) -> list[Contender]:
-    """Give the method and its rivals; the paper's with live ids, for no clip ends here."""
-    contenders: list[Contender] = [Method(_METHOD, parameters)]
-    for name in rivals:
+def _methods(baselines: Sequence[str], parameters: Parameters) -> list[Method]:
+    """Return the method and its baselines; the paper's with live ids, for no clip ends here."""
+    methods: list[Method] = [TurbsegMethod(_METHOD, parameters)]
+    for name in baselines:
         if name == "paper":
             paper = load_parameters(config_path("paper.yaml"))
-            contenders.append(Method(name, paper.replace({"tracking.mode": "kalman"})))
+            methods.append(TurbsegMethod(name, paper.replace({"tracking.mode": "kalman"})))
         else:
-            contenders.append(BackgroundSubtraction(name, stabilised=False))
-    return contenders
+            methods.append(BackgroundSubtraction(name, stabilised=False))
+    return methods
 
 
 def _scene(objects: int) -> Scene:
-    """Give a street with so many objects, one behind the other, that come and go."""
+    """Return a street with so many objects, one behind the other, that come and go."""
     return Scene(
         "benchmark",
         "vehicles and people on a street",
@@ -143,7 +147,7 @@ def _table(timing: Timing, needs: Footprint, options: argparse.Namespace) -> Ite
 def _report(
     cases: Sequence[tuple[Timing, Footprint]], options: argparse.Namespace, parameters: Parameters
 ) -> dict[str, Any]:
-    """Give everything that was measured, as JSON has it."""
+    """Return everything that was measured, as JSON has it."""
     return {
         "machine": {
             "cores": len(os.sched_getaffinity(0)),
@@ -183,11 +187,13 @@ def _size(text: str) -> tuple[int, int]:
     return int(width), int(height)
 
 
-def _rivals(text: str) -> list[str]:
+def _baselines(text: str) -> list[str]:
     names = [name.strip() for name in text.split(",") if name.strip()]
-    unknown = [name for name in names if name not in RIVALS]
+    unknown = [name for name in names if name not in BASELINES]
     if unknown:
-        raise argparse.ArgumentTypeError(f"no rival {unknown[0]}; there are {', '.join(RIVALS)}")
+        raise argparse.ArgumentTypeError(
+            f"no baseline {unknown[0]}; there are {', '.join(BASELINES)}"
+        )
     return names
 
 
@@ -195,8 +201,8 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="turbseg_benchmark",
         description=(
-            "Time the method, its stages and its rivals on a rendered clip, turn by turn with one "
-            f"DIS flow (medium preset, {YARDSTICK_SIZE[0]}x{YARDSTICK_SIZE[1]}), and give the "
+            "Time the method, its stages and its baselines on a rendered clip, turn by turn with "
+            f"one DIS flow (medium preset, {YARDSTICK_SIZE[0]}x{YARDSTICK_SIZE[1]}), and give the "
             "ratio to that."
         ),
     )
@@ -218,11 +224,12 @@ def _parser() -> argparse.ArgumentParser:
         "--objects", type=int, default=2, metavar="N", help="moving objects (%(default)s)"
     )
     parser.add_argument(
+        "--baselines",
         "--rivals",
-        type=_rivals,
-        default=list(RIVALS),
+        type=_baselines,
+        default=list(BASELINES),
         metavar="NAMES",
-        help=f"some of {','.join(RIVALS)} (all)",
+        help=f"some of {','.join(BASELINES)} (all)",
     )
     parser.add_argument("--json", type=Path, metavar="F", help="also write the figures as JSON")
     add_parameter_options(parser)

@@ -22,8 +22,8 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.signals import SignalHandlerOptions
 from tqdm import tqdm
 
+from turbseg_ros.bag.frames import BagFrames
 from turbseg_ros.bag.reader import BagReader
-from turbseg_ros.bag.recorder import Recorder
 from turbseg_ros.bag.topics import LABELS_TOPIC, RESULT_NAMESPACE, TRUTH_TOPIC
 from turbseg_ros.bag.writer import BagWriter
 from turbseg_ros.cli.errors import UsageError, executable
@@ -41,11 +41,11 @@ from turbseg_ros.evaluation.labels import (
     read_labels,
     result_from_labels,
 )
-from turbseg_ros.evaluation.replay import BagFrames
 from turbseg_ros.evaluation.scores import Table, write_json
+from turbseg_ros.messages.results import CentroidMarkers, outputs
+from turbseg_ros.nodes.recorder import Recorder
 from turbseg_ros.overlay import OverlayStrip, write_picture
 from turbseg_ros.parameters import Parameters
-from turbseg_ros.ros.messages import CentroidMarkers, outputs
 
 # No frame is dropped here, however slow the machine: as many as the queue takes may wait.
 _PARAMETERS = Parameters().replace({"queue_size": 1000})
@@ -95,7 +95,7 @@ class _Products:
 
 @executable("demo")
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the demonstration; give its exit status, 1 when something fell short."""
+    """Run the demonstration; return its exit status, 1 when something fell short."""
     options = _parser().parse_args(arguments)
     source = BagReader(options.bag)
     image_topic = source.find_image_topic()
@@ -209,7 +209,7 @@ def _recorded_labels(products: _Products) -> Iterator[StampedLabels]:
 
 
 def _draw(frames: BagFrames, products: _Products) -> int:
-    """Draw recorded labels on their frames; give how many frames have none."""
+    """Draw recorded labels on their frames; return how many frames have none."""
     recorded = LabelsByStamp(_recorded_labels(products))
     strip = OverlayStrip(len(frames))
     unanswered = 0

@@ -27,7 +27,7 @@ class Main(Protocol):
     """What an executable runs."""
 
     def __call__(self, arguments: Sequence[str] | None = None) -> int:
-        """Take arguments, by default the process's own; give the exit status."""
+        """Take arguments, by default the process's own; return the exit status."""
 
 
 class UsageError(Exception):
@@ -88,7 +88,7 @@ def _refuse(name: str, reason: str) -> int:
 
 
 def _leave_closed_pipe() -> int:
-    """Give up output whose reader has gone, such as `head`, without complaint at exit."""
+    """Return up output whose reader has gone, such as `head`, without complaint at exit."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return 128 + signal.SIGPIPE
 

@@ -16,25 +16,22 @@ from tqdm import tqdm
 
 from turbseg_ros.bag.reader import BagReader
 from turbseg_ros.bag.topics import LABELS_TOPIC, TRUTH_TOPIC
-from turbseg_ros.cli.arguments import positive_count
 from turbseg_ros.cli.errors import UsageError, executable
 from turbseg_ros.cli.memory import keep_large_buffers
-from turbseg_ros.cli.options import add_parameter_options, parameters_from, with_progress
-from turbseg_ros.evaluation.evaluate import EvaluationError, evaluate_labels
-from turbseg_ros.evaluation.experiments import (
-    Experiment,
-    ScoredExperiment,
-    ablation,
-    against_rivals,
-    sensitivity,
-    shake_curve,
-    text_table,
-    tilt_curve,
+from turbseg_ros.cli.options import (
+    add_parameter_options,
+    parameters_from,
+    positive_count,
+    with_progress,
 )
-from turbseg_ros.evaluation.labels import LabelsByStamp, read_labels
-from turbseg_ros.evaluation.report import Report, ReportError, ReportWriter
-from turbseg_ros.evaluation.rivals import RIVALS, Method, UnknownRivalError, rivals
-from turbseg_ros.evaluation.running import (
+from turbseg_ros.evaluation.baselines import (
+    BASELINES,
+    TurbsegMethod,
+    UnknownBaselineError,
+    baselines,
+)
+from turbseg_ros.evaluation.evaluate import EvaluationError, evaluate_labels
+from turbseg_ros.evaluation.execution import (
     ClusterError,
     Failure,
     Runner,
@@ -43,19 +40,31 @@ from turbseg_ros.evaluation.running import (
     run_here,
     run_on,
 )
+from turbseg_ros.evaluation.experiments import (
+    Experiment,
+    ScoredExperiment,
+    ablation,
+    against_baselines,
+    sensitivity,
+    shake_curve,
+    text_table,
+    tilt_curve,
+)
+from turbseg_ros.evaluation.labels import LabelsByStamp, read_labels
+from turbseg_ros.evaluation.report import Report, ReportError, ReportWriter
+from turbseg_ros.evaluation.run import Run, RunResult, Source
 from turbseg_ros.evaluation.scores import Table, write_json
-from turbseg_ros.evaluation.trials import Source, Trial, TrialResult
 from turbseg_ros.parameters import Parameters
 
 _METHOD = "turbseg"
-_EXPERIMENTS = ("rivals", "ablation", "sensitivity", "tilt_curve", "shake_curve")
+_EXPERIMENTS = ("baselines", "ablation", "sensitivity", "tilt_curve", "shake_curve")
 # Stronger ones than this leave nothing to see.
 _STRONGEST = 20.0
 
 
 @executable("turbseg_evaluate")
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the executable; give its exit status, 1 when a bag couldn't be scored."""
+    """Run the executable; return its exit status, 1 when a bag couldn't be scored."""
     options = _parser().parse_args(arguments)
     keep_large_buffers()
     _check(options)
@@ -64,14 +73,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if options.predictions is not None:
             return _score_recorded(options)
         return _evaluate(options, parameters, sys.argv[1:] if arguments is None else arguments)
-    except (ClusterError, EvaluationError, ReportError, UnknownRivalError) as error:
+    except (ClusterError, EvaluationError, ReportError, UnknownBaselineError) as error:
         raise UsageError(str(error)) from error
 
 
 def _check(options: argparse.Namespace) -> None:
     if options.predictions is not None:
         if len(options.bags) > 1:
-            raise UsageError("--predictions are those of one BAG; give one")
+            raise UsageError("--predictions are those of one BAG; return one")
         for name in (*_EXPERIMENTS, "report", "curves"):
             if getattr(options, name):
                 option = name.replace("_", "-")
@@ -81,7 +90,7 @@ def _check(options: argparse.Namespace) -> None:
     if options.json is not None:
         options.json.parent.mkdir(parents=True, exist_ok=True)
     if options.curves is not None and not (options.tilt_curve or options.shake_curve):
-        raise UsageError("--curves draws those of --tilt-curve and --shake-curve; give one")
+        raise UsageError("--curves draws those of --tilt-curve and --shake-curve; return one")
     for directory in filter(None, (options.report, options.curves)):
         directory.mkdir(parents=True, exist_ok=True)
 
@@ -105,16 +114,14 @@ def _evaluate(
 ) -> int:
     """Segment and score the bags, and whatever is to be compared on those that can be scored."""
     writer = ReportWriter() if options.report or options.curves else None
-    trials = _trials(options, parameters)
-    planned = [
-        trial for each in _experiments(options, parameters, trials) for trial in each.trials
-    ]
-    with _runner(options, len({*trials, *planned})) as runner:
+    runs = _trials(options, parameters)
+    planned = [run for each in _experiments(options, parameters, runs) for run in each.runs]
+    with _runner(options, len({*runs, *planned})) as runner:
         evaluation = _Evaluation(runner)
-        _print_scores(evaluation, trials)
-        scored = [trial for trial in trials if trial in evaluation.results]
+        _print_scores(evaluation, runs)
+        scored = [run for run in runs if run in evaluation.results]
         experiments = _experiments(options, parameters, scored)
-        for _ in evaluation.run([trial for each in experiments for trial in each.trials]):
+        for _ in evaluation.run([run for each in experiments for run in each.runs]):
             pass
     compared = [ScoredExperiment.of(each, evaluation.results) for each in experiments]
     for each in compared:
@@ -128,7 +135,7 @@ def _evaluate(
 def _write(options: argparse.Namespace, report: Report, writer: ReportWriter | None) -> None:
     """Write the files that were asked for; `writer` is there when it is needed."""
     if options.json is not None:
-        scores = [report.results[trial].scores for trial in report.trials]
+        scores = [report.results[run].scores for run in report.runs]
         tables = {each.experiment.key: each.as_json() for each in report.experiments}
         write_json(options.json, scores, report.parameters.as_mapping(), tables)
     if writer is not None and options.curves is not None:
@@ -138,11 +145,11 @@ def _write(options: argparse.Namespace, report: Report, writer: ReportWriter | N
         print(f"\n{writer.write(options.report, report)}")
 
 
-def _trials(options: argparse.Namespace, parameters: Parameters) -> list[Trial]:
-    """Give one trial of the method for each bag."""
-    method = Method(_METHOD, parameters)
+def _trials(options: argparse.Namespace, parameters: Parameters) -> list[Run]:
+    """Return one run of the method for each bag."""
+    method = TurbsegMethod(_METHOD, parameters)
     return [
-        Trial(
+        Run(
             # Another process may have another working directory.
             Source(str(bag), bag.absolute(), options.image_topic, options.truth_topic),
             method,
@@ -153,50 +160,50 @@ def _trials(options: argparse.Namespace, parameters: Parameters) -> list[Trial]:
 
 
 def _experiments(
-    options: argparse.Namespace, parameters: Parameters, trials: Sequence[Trial]
+    options: argparse.Namespace, parameters: Parameters, runs: Sequence[Run]
 ) -> list[Experiment]:
-    """Plan what was asked for beside the scores of the method in `trials`."""
-    if not trials:
+    """Plan what was asked for beside the scores of the method in `runs`."""
+    if not runs:
         return []
     experiments = []
-    chosen = rivals(options.rivals)
+    chosen = baselines(options.baselines)
     if chosen:
-        experiments.append(against_rivals(trials, chosen))
-    contenders = [trials[0].contender, *chosen]
+        experiments.append(against_baselines(runs, chosen))
+    methods = [runs[0].method, *chosen]
     if options.tilt_curve:
-        experiments.append(tilt_curve(trials, contenders, options.tilt_curve, options.seed))
+        experiments.append(tilt_curve(runs, methods, options.tilt_curve, options.seed))
     if options.shake_curve:
-        experiments.append(shake_curve(trials, contenders, options.shake_curve, options.seed))
+        experiments.append(shake_curve(runs, methods, options.shake_curve, options.seed))
     if options.ablation:
-        experiments.append(ablation(trials, parameters))
+        experiments.append(ablation(runs, parameters))
     if options.sensitivity:
-        experiments.append(sensitivity(trials, parameters))
+        experiments.append(sensitivity(runs, parameters))
     return experiments
 
 
 class _Evaluation:
-    """Runs trials, none twice, and keeps their results; says what failed and why, once."""
+    """Does runs, none twice, and keeps their results; says what failed and why, once."""
 
     def __init__(self, runner: Runner) -> None:
         self._runner = runner
         self._reasons: set[str] = set()
-        self.results: dict[Trial, TrialResult] = {}
+        self.results: dict[Run, RunResult] = {}
 
     @property
     def failed(self) -> bool:
-        """Whether a trial came to nothing."""
+        """Whether a run came to nothing."""
         return bool(self._reasons)
 
-    def run(self, trials: Iterable[Trial]) -> Iterator[TrialResult]:
-        """Run the trials that have not been run; give the results of those that succeed."""
-        new = [trial for trial in dict.fromkeys(trials) if trial not in self.results]
-        runs = zip(new, self._runner(new), strict=True)
-        progress = with_progress(runs, "evaluation", total=len(new), unit="run")
-        for trial, outcome in progress:
+    def run(self, runs: Iterable[Run]) -> Iterator[RunResult]:
+        """Do the runs that are not done yet; return the results of those that succeed."""
+        new = [run for run in dict.fromkeys(runs) if run not in self.results]
+        outcomes = zip(new, self._runner(new), strict=True)
+        progress = with_progress(outcomes, "evaluation", total=len(new), unit="run")
+        for run, outcome in progress:
             if isinstance(outcome, Failure):
                 self._report(outcome.reason)
             else:
-                self.results[trial] = outcome
+                self.results[run] = outcome
                 yield outcome
 
     def _report(self, reason: str) -> None:
@@ -205,12 +212,12 @@ class _Evaluation:
             tqdm.write(f"turbseg_evaluate: {reason}", file=sys.stderr)
 
 
-def _print_scores(evaluation: _Evaluation, trials: Sequence[Trial]) -> None:
+def _print_scores(evaluation: _Evaluation, runs: Sequence[Run]) -> None:
     """Run the method on each bag and print a line of scores as soon as they are there."""
-    table = Table.of([trial.source.name for trial in trials])
+    table = Table.of([run.source.name for run in runs])
     print(table.head, flush=True)
     scored = []
-    for result in evaluation.run(trials):
+    for result in evaluation.run(runs):
         scored.append(result.scores)
         tqdm.write(table.row(result.scores))
     if len(scored) > 1:
@@ -218,12 +225,12 @@ def _print_scores(evaluation: _Evaluation, trials: Sequence[Trial]) -> None:
 
 
 @contextlib.contextmanager
-def _runner(options: argparse.Namespace, trials: int) -> Iterator[Runner]:
-    """Give what runs so many trials, as the options say: here, or on a cluster.
+def _runner(options: argparse.Namespace, runs: int) -> Iterator[Runner]:
+    """Return what does so many runs, as the options say: here, or on a cluster.
 
     :raises ClusterError: when there is no cluster to be had.
     """
-    workers = min(options.workers or _usable_workers(), trials)
+    workers = min(options.workers or _usable_workers(), runs)
     if options.scheduler is not None:
         with remote_cluster(options.scheduler) as client:
             yield functools.partial(run_on, client)
@@ -232,12 +239,12 @@ def _runner(options: argparse.Namespace, trials: int) -> Iterator[Runner]:
             yield functools.partial(run_on, client)
     else:
         yield functools.partial(
-            run_here, watch=lambda trial: functools.partial(with_progress, title=trial.title)
+            run_here, progress=lambda run: functools.partial(with_progress, title=run.title)
         )
 
 
 def _usable_workers() -> int:
-    """Give how many processes there is use for: the cores this one may use, if Dask is there."""
+    """Return how many processes there is use for: the cores this one may use, if Dask is there."""
     if importlib.util.find_spec("distributed") is None:
         return 1
     return len(os.sched_getaffinity(0))
@@ -302,11 +309,12 @@ def _parser() -> argparse.ArgumentParser:
 def _add_comparisons(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("comparisons, a table each")
     group.add_argument(
+        "--baselines",
         "--rivals",
         type=_names,
         default=[],
         metavar="NAMES",
-        help=f"other methods on the same frames, and in the curves: some of {','.join(RIVALS)}",
+        help=f"other methods on the same frames, and in the curves: some of {','.join(BASELINES)}",
     )
     group.add_argument(
         "--tilt-curve",

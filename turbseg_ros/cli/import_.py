@@ -12,21 +12,20 @@ from typing import Any
 import numpy.typing as npt
 from sensor_msgs.msg import Image
 
-from turbseg_ros.bag.clip import (
+from turbseg_ros.bag.errors import ClipError
+from turbseg_ros.bag.topics import IMAGE_TOPIC, TRUTH_TOPIC
+from turbseg_ros.bag.writer import BagWriter
+from turbseg_ros.cli.errors import UsageError, executable
+from turbseg_ros.cli.options import positive_number, with_progress
+from turbseg_ros.datasets.clip import (
     Clip,
     FrameFormat,
     ImageFolder,
     find_clip,
     frame_format,
 )
-from turbseg_ros.bag.errors import ClipError
-from turbseg_ros.bag.masks import Labels, mask_meaning
-from turbseg_ros.bag.topics import IMAGE_TOPIC, TRUTH_TOPIC
-from turbseg_ros.bag.writer import BagWriter
-from turbseg_ros.cli.arguments import positive_number
-from turbseg_ros.cli.errors import UsageError, executable
-from turbseg_ros.cli.options import with_progress
-from turbseg_ros.ros.image_conversion import (
+from turbseg_ros.datasets.masks import Labels, mask_meaning
+from turbseg_ros.messages.images import (
     ImageConversionError,
     encoding_of,
     message_from_image,
@@ -40,7 +39,7 @@ _FOLDER_RATE = 30.0  # Hz
 
 @executable("turbseg_import")
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the executable; give its exit status."""
+    """Run the executable; return its exit status."""
     options = _parser().parse_args(arguments)
     clip = find_clip(options.source, options.masks)
     rate = options.rate or _own_rate(clip, options.source)
@@ -54,7 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _write(clip: Clip, bag: BagWriter, topic: str, rate: float) -> int:
-    """Write a clip's images and labels; give the number of frames."""
+    """Write a clip's images and labels; return the number of frames."""
     form = frame_format(clip.frames)
     truth = itertools.repeat(None) if clip.masks is None else _labels(clip.masks, form)
     frames = with_progress(form.conform(clip.frames), topic, clip.frames.stated_count)
@@ -90,7 +89,7 @@ def _own_rate(clip: Clip, source: Path) -> float:
     if isinstance(clip.frames, ImageFolder):
         return _FOLDER_RATE
     if clip.frames.rate is None:
-        raise UsageError(f"{source} states no frame rate; give it with --rate")
+        raise UsageError(f"{source} states no frame rate; return it with --rate")
     return clip.frames.rate
 
 

@@ -9,9 +9,9 @@ _M_TRIM_THRESHOLD = -1
 _M_MMAP_THRESHOLD = -3
 _M_ARENA_MAX = -8
 # Buffers up to this many bytes, an 8K image in grey, are cut from the heap; malloc takes no more.
-_LARGEST_KEPT = 2**25
+_MAX_KEPT = 2**25
 # So many free bytes at the end of a heap are kept: what a few large images in work take.
-_MOST_FREE = 2**28
+_MAX_FREE = 2**28
 
 
 def keep_large_buffers() -> None:
@@ -26,6 +26,6 @@ def keep_large_buffers() -> None:
         mallopt = ctypes.CDLL(None).mallopt
     except AttributeError:
         return
-    mallopt(_M_MMAP_THRESHOLD, _LARGEST_KEPT)
-    mallopt(_M_TRIM_THRESHOLD, _MOST_FREE)
+    mallopt(_M_MMAP_THRESHOLD, _MAX_KEPT)
+    mallopt(_M_TRIM_THRESHOLD, _MAX_FREE)
     mallopt(_M_ARENA_MAX, 1)

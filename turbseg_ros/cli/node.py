@@ -21,7 +21,7 @@ _STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 @executable("turbseg_node")
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the node until SIGINT or SIGTERM, which end it well; give the exit status."""
+    """Run the node until SIGINT or SIGTERM, which end it well; return the exit status."""
     # From here on these signals only wake the thread that waits for them, wherever the process
     # is: importing rclpy, starting, working or ending. A second Ctrl-C changes nothing. Threads
     # started from here on inherit this, which is why NumPy is not imported any earlier.
@@ -58,7 +58,7 @@ def _check_arguments(arguments: Sequence[str]) -> None:
 def _run() -> None:
     from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 
-    from turbseg_ros.ros.node import TurbsegNode
+    from turbseg_ros.nodes.segmentation_node import TurbsegNode
 
     node = TurbsegNode()
     executor = SingleThreadedExecutor()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import textwrap
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -44,7 +45,7 @@ def add_parameter_options(parser: argparse.ArgumentParser) -> None:
 
 
 def parameters_from(options: argparse.Namespace) -> Parameters:
-    """Give the parameters that the options of `add_parameter_options` ask for.
+    """Return the parameters that the options of `add_parameter_options` ask for.
 
     :raises ParameterError: when the file or an override is refused.
     """
@@ -88,3 +89,19 @@ def _described(declaration: Declaration) -> str:
     text = f"{declaration.description} Default: {declaration.default}{unit}."
     body = textwrap.fill(text, width=92, initial_indent=" " * 6, subsequent_indent=" " * 6)
     return f"  {declaration.name}\n{body}"
+
+
+def positive_number(text: str) -> float:
+    """Read a finite number above 0."""
+    value = float(text)
+    if not (math.isfinite(value) and value > 0):
+        raise argparse.ArgumentTypeError(f"{text} is not above 0")
+    return value
+
+
+def positive_count(text: str) -> int:
+    """Read a whole number above 0."""
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{text} is not above 0")
+    return value

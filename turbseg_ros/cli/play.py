@@ -12,10 +12,10 @@ import rclpy
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
-from turbseg_ros.bag.player import Player, Timeline, lossless_qos, recorded_qos
 from turbseg_ros.bag.reader import BagReader
-from turbseg_ros.cli.arguments import positive_count, positive_number
 from turbseg_ros.cli.errors import Interrupted, UsageError, executable
+from turbseg_ros.cli.options import positive_count, positive_number
+from turbseg_ros.nodes.player import Player, Timeline, lossless_qos, recorded_qos
 
 # How long subscribers may take to acknowledge the last messages, in seconds.
 _ACKNOWLEDGEMENT = 10.0
@@ -23,7 +23,7 @@ _ACKNOWLEDGEMENT = 10.0
 
 @executable("turbseg_play")
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the executable; give its exit status."""
+    """Run the executable; return its exit status."""
     command = sys.argv if arguments is None else ["turbseg_play", *arguments]
     with contextlib.suppress(Interrupted):  # how a loop ends
         _run(command)

@@ -44,9 +44,9 @@ class SignalWatch:
 @contextlib.contextmanager
 def signals_watched() -> Iterator[SignalWatch]:
     """Hold signals back for the time of a `with` statement, in which `check` is called often."""
-    watch = SignalWatch()
-    with signals_answered_by(watch.note, _STOP_SIGNALS):
-        yield watch
+    progress = SignalWatch()
+    with signals_answered_by(progress.note, _STOP_SIGNALS):
+        yield progress
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ def child_process(name: str, command: Sequence[str], log: Path) -> Iterator[Chil
     """Run a command for the time of a `with` statement.
 
     At its end the process gets SIGINT and, when that doesn't help, SIGKILL. It has a session of
-    its own, so that a terminal's Ctrl-C reaches it by this way only. Watch signals meanwhile:
+    its own, so that a terminal's Ctrl-C reaches it by this way only. Progress signals meanwhile:
     an exception while the process is being started would leave it behind.
     """
     with log.open("wb") as output:

@@ -8,17 +8,17 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from turbseg_ros.bag.errors import BagError
+from turbseg_ros.bag.frames import BagFrames, ahead
 from turbseg_ros.bag.reader import BagReader
 from turbseg_ros.bag.topics import RESULT_NAMESPACE
 from turbseg_ros.bag.writer import BagWriter
 from turbseg_ros.cli.errors import executable
 from turbseg_ros.cli.memory import keep_large_buffers
 from turbseg_ros.cli.options import add_parameter_options, parameters_from, with_progress
-from turbseg_ros.evaluation.replay import BagFrames, ahead, segment
 from turbseg_ros.factory import clip_segmenter
+from turbseg_ros.messages.results import CentroidMarkers, Output, outputs, slot_output
 from turbseg_ros.overlay import OverlayStrip, write_picture
-from turbseg_ros.ros.messages import CentroidMarkers, Output, outputs, slot_output
-from turbseg_ros.segmentation.frame import SegmentationResult
+from turbseg_ros.segmentation.frame import SegmentationResult, segment
 
 
 class ResultWriter:
@@ -48,7 +48,7 @@ class ResultWriter:
 
 @executable("turbseg_replay")
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the executable; give its exit status."""
+    """Run the executable; return its exit status."""
     options = _parser().parse_args(arguments)
     keep_large_buffers()
     parameters = parameters_from(options)

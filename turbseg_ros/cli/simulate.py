@@ -14,7 +14,7 @@ from turbseg_ros.bag.writer import BagWriter
 from turbseg_ros.cli.errors import UsageError, executable
 from turbseg_ros.cli.options import with_progress
 from turbseg_ros.evaluation.labels import LabelsByStamp, read_labels
-from turbseg_ros.ros.image_conversion import (
+from turbseg_ros.messages.images import (
     ImageConversionError,
     encoding_of,
     image_from_message,
@@ -32,7 +32,7 @@ _MAX_TILT_PX = 20.0
 
 @executable("turbseg_simulate")
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the executable; give its exit status."""
+    """Run the executable; return its exit status."""
     options = _parser().parse_args(arguments)
     if options.list:
         _list_scenes()
@@ -69,7 +69,7 @@ def _list_scenes() -> None:
 
 
 def _chosen_scenes(name: str, out: Path) -> list[tuple[Scene, Path]]:
-    """Give the scenes to render and the bags to write; refuses before anything is rendered."""
+    """Return the scenes to render and the bags to write; refuses before anything is rendered."""
     if name == "all":
         chosen = [(entry, out / entry.name) for entry in SCENES.values()]
     else:

@@ -12,10 +12,10 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from turbseg_ros.bag.frames import BagFrames
 from turbseg_ros.bag.reader import BagReader
 from turbseg_ros.cli.errors import UsageError, executable
 from turbseg_ros.cli.options import add_parameter_options, parameters_from, with_progress
-from turbseg_ros.evaluation.replay import BagFrames, segment
 from turbseg_ros.factory import flow_backend, refiner
 from turbseg_ros.overlay import (
     WHITE,
@@ -26,11 +26,11 @@ from turbseg_ros.overlay import (
     write_picture,
     write_text,
 )
-from turbseg_ros.segmentation.frame import SegmentationResult
+from turbseg_ros.segmentation.frame import SegmentationResult, segment
 from turbseg_ros.segmentation.motion import MotionEstimate
 from turbseg_ros.segmentation.pipeline import MotionSegmenter
 from turbseg_ros.segmentation.region_growing import Region
-from turbseg_ros.segmentation.track import Candidate
+from turbseg_ros.segmentation.track import Detection
 
 Picture = npt.NDArray[np.uint8]
 
@@ -41,11 +41,11 @@ _BRIGHTEST = 20.0
 
 @dataclass(frozen=True)
 class Stages:
-    """What the stages made of one frame; `candidates` lie in a picture of `detail_width`."""
+    """What the stages made of one frame; `detections` lie in a picture of `detail_width`."""
 
     motion: MotionEstimate
     regions: Sequence[Region]
-    candidates: Sequence[Candidate]
+    detections: Sequence[Detection]
     detail_width: int
 
 
@@ -55,17 +55,17 @@ class WatchedSegmenter(MotionSegmenter):
     stages: Stages | None = None
     watched_stamp = -1
 
-    def _outlines(self, centre: int, moving: Any, *rest: Any) -> list[Candidate]:
-        candidates = super()._outlines(centre, moving, *rest)
+    def _outlines(self, centre: int, moving: Any, *rest: Any) -> list[Detection]:
+        detections = super()._outlines(centre, moving, *rest)
         if rest[-1] == self.watched_stamp:
             width = self._detail_shape[1]
-            self.stages = Stages(moving.motion, moving.regions, candidates, width)
-        return candidates
+            self.stages = Stages(moving.motion, moving.regions, detections, width)
+        return detections
 
 
 @executable("stages")
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Draw the picture; give the exit status."""
+    """Draw the picture; return the exit status."""
     options = _parser().parse_args(arguments)
     parameters = parameters_from(options)
     segmenter = WatchedSegmenter(parameters, refiner(parameters), flow_backend(parameters))
@@ -125,12 +125,12 @@ def _regions(stages: Stages) -> Picture:
 def _outlined(result: SegmentationResult, stages: Stages) -> Canvas:
     canvas = Canvas.of(result.frame.image, _TILE_WIDTH)
     scale = _TILE_WIDTH / stages.detail_width
-    for candidate in stages.candidates:
+    for detection in stages.detections:
         contours, _ = cv2.findContours(
-            candidate.mask.astype(np.uint8),
+            detection.mask.astype(np.uint8),
             cv2.RETR_EXTERNAL,
             cv2.CHAIN_APPROX_NONE,
-            offset=(candidate.box.x0, candidate.box.y0),
+            offset=(detection.box.x0, detection.box.y0),
         )
         scaled = [np.rint((contour + 0.5) * scale - 0.5).astype(np.int32) for contour in contours]
         cv2.polylines(canvas.image, scaled, True, WHITE, 1, cv2.LINE_AA)

@@ -14,9 +14,8 @@ from typing import Any
 
 import cv2
 
-from turbseg_ros.cli.arguments import positive_count
 from turbseg_ros.cli.errors import UsageError, executable
-from turbseg_ros.cli.options import with_progress
+from turbseg_ros.cli.options import positive_count, with_progress
 from turbseg_ros.learning.examples import Examples, examples_from, rendered_clip
 from turbseg_ros.learning.torch_import import require_torch
 from turbseg_ros.parameters import Parameters
@@ -28,7 +27,7 @@ _REPORTS = 20
 
 @executable("turbseg_train")
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the executable; give its exit status."""
+    """Run the executable; return its exit status."""
     options = _parser().parse_args(arguments)
     require_torch("turbseg_train")
     if options.out.exists():
@@ -70,7 +69,7 @@ def _windows_of(scene: int, frames: int) -> Examples:
 def _train(
     options: argparse.Namespace, examples: Examples, held_out: Examples, folder: Path
 ) -> dict[str, Any]:
-    """Train, show how it goes, and write the network; give the record of it all."""
+    """Train, show how it goes, and write the network; return the record of it all."""
     from turbseg_ros.learning.export import write_onnx, write_weights
     from turbseg_ros.learning.training import held_out_scores, train
 

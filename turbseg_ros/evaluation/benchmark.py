@@ -1,4 +1,4 @@
-"""How long a frame takes: the whole, its stages and its rivals, beside a yardstick.
+"""How long a frame takes: the whole, its stages and its baselines, beside a yardstick.
 
 Milliseconds depend on the machine and on what else it does. Everything here takes turns, a few
 frames each, with one optical flow of a fixed kind, whose ratio means the same everywhere.
@@ -26,7 +26,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from turbseg_ros.evaluation.rivals import Contender, Method
+from turbseg_ros.evaluation.baselines import Method, TurbsegMethod
 from turbseg_ros.factory import motion_segmenter
 from turbseg_ros.parameters import Parameters
 from turbseg_ros.segmentation.frame import Frame
@@ -36,7 +36,7 @@ Picture = npt.NDArray[np.uint8]
 YARDSTICK_SIZE = (432, 240)
 """Width and height of the pictures whose flow is the yardstick."""
 
-# Frames that each contender gets at a turn, and seconds for which its threads may finish then.
+# Frames that each method gets at a turn, and seconds for which its threads may finish then.
 _BLOCK = 10
 _PAUSE = 0.05
 
@@ -44,15 +44,15 @@ _PIPELINE = "turbseg_ros.segmentation.pipeline"
 STAGES: Mapping[str, str] = {
     "scaling": f"{_PIPELINE}.prepare",
     "registration": "turbseg_ros.segmentation.window.register_affine",
-    "optical flow": "turbseg_ros.segmentation.finder.dis_flow",
-    "motion map": "turbseg_ros.segmentation.finder.measured_motions",
-    "carrying along": f"{_PIPELINE}.carried",
+    "optical flow": "turbseg_ros.segmentation.motion_worker.dis_flow",
+    "motion map": "turbseg_ros.segmentation.motion_worker.measured_motions",
+    "propagation": f"{_PIPELINE}.propagated",
     "seeds": "turbseg_ros.segmentation.region_growing.seed_strength",
     "region growing": "turbseg_ros.segmentation.region_growing.grow_regions",
     "refinement": "turbseg_ros.learning.pretrained.PretrainedRefiner.refine",
-    "outlines": f"{_PIPELINE}.refined_silhouettes",
+    "outlines": f"{_PIPELINE}.refined_masks",
     "background": "turbseg_ros.learning.window_input.background_in",
-    "tracking": "turbseg_ros.segmentation.tracking.ObjectTracker.update",
+    "tracking": "turbseg_ros.segmentation.kalman_tracker.KalmanTracker.update",
     "labels": f"{_PIPELINE}._result",
 }
 """The functions whose time is told apart, where the callers find them."""
@@ -73,9 +73,9 @@ class Cost:
 
 @dataclass(frozen=True)
 class Timing:
-    """What contenders took for frames of one size.
+    """What methods took for frames of one size.
 
-    `frames` gives each contender's cost by its name, `yardstick` that of the flow beside it;
+    `frames` gives each method's cost by its name, `yardstick` that of the flow beside it;
     `stages` gives the mean milliseconds a frame that calls of each stage took, less those of
     other stages within; stages run in several threads, so they may add up to more than the whole.
     """
@@ -86,11 +86,11 @@ class Timing:
     stages: Mapping[str, float]
 
     def ratio(self, name: str) -> float:
-        """Give the median time of a contender in medians of the yardstick."""
+        """Return the median time of a method in medians of the yardstick."""
         return self.frames[name].p50 / self.yardstick.p50
 
     def processor_ratio(self, name: str) -> float:
-        """Give the same for the time of processors, which other processes disturb less."""
+        """Return the same for the time of processors, which other processes disturb less."""
         return self.frames[name].processors / self.yardstick.processors
 
 
@@ -109,7 +109,7 @@ class Footprint:
 
 
 def endless(clip: Sequence[Picture], size: tuple[int, int], rate_hz: float) -> Iterator[Frame]:
-    """Give a clip forward and backward without end, scaled to cover `size` (width, height)."""
+    """Return a clip forward and backward without end, scaled to cover `size` (width, height)."""
     width, height = size
     there_and_back = [*range(len(clip)), *range(len(clip) - 2, 0, -1)]
     number = 0
@@ -124,18 +124,18 @@ def endless(clip: Sequence[Picture], size: tuple[int, int], rate_hz: float) -> I
 
 
 def measure(
-    contenders: Sequence[Contender], frames: Iterable[Frame], warm_up: int, size: tuple[int, int]
+    methods: Sequence[Method], frames: Iterable[Frame], warm_up: int, size: tuple[int, int]
 ) -> Timing:
-    """Time contenders on the same frames, a few at a turn; the stages are those of the first one.
+    """Time methods on the same frames, a few at a turn; the stages are those of the first one.
 
     :param warm_up: frames that are not counted, while memories fill.
     """
     default = cv2.getNumThreads()
-    segmenters = [contender.segmenter() for contender in contenders]
+    segmenters = [method.segmenter() for method in methods]
     # The method makes do with its own threads, the others have OpenCV's.
-    threads = [1 if isinstance(each, Method) else default for each in contenders]
+    threads = [1 if isinstance(each, TurbsegMethod) else default for each in methods]
     flow = _YardstickFlow()
-    meters = [_Meter() for _ in contenders]
+    meters = [_Meter() for _ in methods]
     yardstick = _Meter()
     clock = StageClock()
     coming = iter(frames)
@@ -155,10 +155,7 @@ def measure(
     counted = len(yardstick.seconds)
     return Timing(
         size=size,
-        frames={
-            contender.name: meter.cost()
-            for contender, meter in zip(contenders, meters, strict=True)
-        },
+        frames={method.name: meter.cost() for method, meter in zip(methods, meters, strict=True)},
         yardstick=yardstick.cost(),
         stages={name: 1e3 * total / counted for name, total in clock.seconds.items()},
     )
@@ -201,7 +198,7 @@ class StageClock:
 
     @contextmanager
     def watching(self, functions: Mapping[str, str]) -> Iterator[None]:
-        """Watch functions, {name: dotted path of the attribute that callers read}."""
+        """Progress functions, {name: dotted path of the attribute that callers read}."""
         with ExitStack() as stack:
             for name, path in functions.items():
                 original = _resolve(path)
@@ -256,7 +253,7 @@ def _segment_from(connection: Connection, parameters: Parameters) -> None:
 
 
 def _most_resident() -> float:
-    """Give the most MiB of this process that ever were resident."""
+    """Return the most MiB of this process that ever were resident."""
     # Unlike getrusage's, this figure doesn't begin with what the parent process had.
     lines = Path("/proc/self/status").read_text().splitlines()
     (kibibytes,) = (line.split()[1] for line in lines if line.startswith("VmHWM:"))
@@ -271,7 +268,7 @@ class _YardstickFlow:
         self._previous: Picture | None = None
 
     def prepared(self, frame: Frame) -> Picture:
-        """Give the small grey picture of a frame."""
+        """Return the small grey picture of a frame."""
         small = cv2.resize(frame.image, YARDSTICK_SIZE, interpolation=cv2.INTER_AREA)
         return cv2.cvtColor(small, cv2.COLOR_BGR2GRAY) if small.ndim == 3 else small
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 _WIDTH, _HEIGHT = 640, 300
 _LEFT, _RIGHT, _TOP, _BOTTOM = 52, 16, 14, 34
-_MOST_TICKS = 8
+_MAX_TICKS = 8
 
 
 @dataclass(frozen=True)
@@ -86,12 +86,12 @@ class Chart:
         return [Tick(self._y(value), f"{value:g}") for value in (0, 0.2, 0.4, 0.6, 0.8, 1.0)]
 
     def points(self, line: Line) -> Iterator[Point]:
-        """Give the points of a line on the drawing."""
+        """Return the points of a line on the drawing."""
         for x, y in line.values:
             yield Point(self._x(x), self._y(y), f"{line.name}: {y:.3f} at {x:g}")
 
     def path(self, line: Line) -> str:
-        """Give a line as SVG's polyline takes it."""
+        """Return a line as SVG's polyline takes it."""
         return " ".join(f"{point.x:.1f},{point.y:.1f}" for point in self.points(line))
 
     @property
@@ -109,14 +109,14 @@ class Chart:
 
 
 def round_values(low: float, high: float) -> Sequence[float]:
-    """Give round numbers from `low` to `high`, a few, in steps of 1, 2 or 5 times a power of ten.
+    """Return a few round numbers from `low` to `high`, in steps of 1, 2 or 5 times a power of 10.
 
     :raises ValueError: when `high` isn't above `low`.
     """
     if not high > low:
         raise ValueError(f"no range from {low} to {high}")
-    magnitude = 10.0 ** math.floor(math.log10((high - low) / _MOST_TICKS))
-    step = next(s for s in (1, 2, 5, 10) if (high - low) / (s * magnitude) <= _MOST_TICKS)
+    magnitude = 10.0 ** math.floor(math.log10((high - low) / _MAX_TICKS))
+    step = next(s for s in (1, 2, 5, 10) if (high - low) / (s * magnitude) <= _MAX_TICKS)
     step_size = step * magnitude
     first, last = math.ceil(low / step_size), math.floor(high / step_size)
     return [round(index * step_size, 12) for index in range(first, last + 1)]

@@ -27,7 +27,7 @@ class Distorter(Protocol):
     """Distorts the frames of one clip, one by one in their order."""
 
     def distort(self, image: Image, labels: Labels | None) -> tuple[Image, Labels | None]:
-        """Give the next frame and its truth as they are seen then."""
+        """Return the next frame and its truth as they are seen then."""
 
 
 class Disturbance(Protocol):
@@ -83,7 +83,7 @@ class AddedShake:
         return _ClipShaker(offsets, margin)
 
     def _offsets(self, step_px: float, frames: int) -> npt.NDArray[np.float64]:
-        """Give the (x, y) of each frame's scene in its picture, Nx2; the steps scale them."""
+        """Return the (x, y) of each frame's scene in its picture, Nx2; the steps scale them."""
         rng = np.random.default_rng([self.seed, 1])
         return CameraMotion(shake=step_px).trajectory(frames, (0.0, 0.0), rng)[:, :, 2]
 
@@ -136,7 +136,7 @@ class _ClipShaker:
         self._margin = margin
 
     def distort(self, image: Image, labels: Labels | None) -> tuple[Image, Labels | None]:
-        """Give the next frame and its truth as the shaken camera sees them, dtypes kept."""
+        """Return the next frame and its truth as the shaken camera sees them, dtypes kept."""
         offset = next(self._offsets)
         moved = self._moved(image, offset, cv2.INTER_CUBIC)
         if labels is None:

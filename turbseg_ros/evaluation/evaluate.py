@@ -8,16 +8,15 @@ from typing import Protocol
 
 from turbseg_ros.evaluation.labels import LabelsByStamp, StampedLabels
 from turbseg_ros.evaluation.metrics import Labels
-from turbseg_ros.evaluation.replay import Segmenter, segment
 from turbseg_ros.evaluation.scores import BagScores, Measurements, Scorer
-from turbseg_ros.segmentation.frame import Frame, SegmentationResult
+from turbseg_ros.segmentation.frame import Frame, SegmentationResult, Segmenter, segment
 
 
 class EvaluationError(Exception):
     """Labels and truth that don't go together; the text says why."""
 
 
-class Spectator(Protocol):
+class ResultObserver(Protocol):
     """Someone who is shown every result beside its truth, such as a draughtsman."""
 
     def add(self, result: SegmentationResult, truth: Labels | None) -> None:
@@ -29,7 +28,7 @@ def evaluate_segmenter(
     frames: Iterable[Frame],
     segmenter: Segmenter,
     truth: LabelsByStamp,
-    spectators: Sequence[Spectator] = (),
+    observers: Sequence[ResultObserver] = (),
 ) -> BagScores:
     """Segment the frames of a bag and score the results.
 
@@ -39,8 +38,8 @@ def evaluate_segmenter(
     scorer = _TruthScorer(bag, truth)
     for result in segment(frames, measured):
         true_labels = scorer.add(StampedLabels(result.frame.stamp, result.labels))
-        for spectator in spectators:
-            spectator.add(result, true_labels)
+        for observer in observers:
+            observer.add(result, true_labels)
     return scorer.scores(measured.measurements)
 
 
@@ -65,7 +64,7 @@ class _TruthScorer:
         self._frames = 0
 
     def add(self, prediction: StampedLabels) -> Labels | None:
-        """Score the next label image; give the truth that it was held against."""
+        """Score the next label image; return the truth that it was held against."""
         self._frames += 1
         true_labels = self._truth.at(prediction.stamp)
         if true_labels is not None:

@@ -1,6 +1,6 @@
-"""Comparisons: with rivals, with parts of the method left out, in ever harder conditions.
+"""Comparisons: with baselines, with parts of the method left out, in ever harder conditions.
 
-An experiment is a list of trials with names; once they have been run, their scores are looked up.
+An experiment is a list of runs with names; once they have been run, their scores are looked up.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from turbseg_ros.evaluation.baselines import Method, TurbsegMethod
 from turbseg_ros.evaluation.disturbance import AddedShake, AddedTurbulence, Disturbance
-from turbseg_ros.evaluation.rivals import Contender, Method
+from turbseg_ros.evaluation.run import Run, RunResult
 from turbseg_ros.evaluation.scores import BagScores, Table, mean_scores
-from turbseg_ros.evaluation.trials import Trial, TrialResult
 from turbseg_ros.parameters import Declaration, Parameters, Value, declarations
 
 VARIANTS: Mapping[str, Mapping[str, Value]] = {
@@ -40,13 +40,13 @@ _GROUPS_OF_THE_NODE = ("qos", "diagnostics")
 
 @dataclass(frozen=True)
 class Row:
-    """One contender on all bags: a line of a table, or a point of a curve at some `strength`.
+    """One method on all bags: a line of a table, or a point of a curve at some `strength`.
 
     `parameters` are those that are changed for it, where that is what the rows are about.
     """
 
     name: str
-    trials: tuple[Trial, ...]
+    runs: tuple[Run, ...]
     strength: float | None = None
     parameters: Mapping[str, Value] | None = None
 
@@ -65,28 +65,27 @@ class Experiment:
     strength_name: str = ""
 
     @property
-    def trials(self) -> tuple[Trial, ...]:
-        """All trials that it needs, none twice."""
-        return tuple(dict.fromkeys(trial for row in self.rows for trial in row.trials))
+    def runs(self) -> tuple[Run, ...]:
+        """All runs that it needs, none twice."""
+        return tuple(dict.fromkeys(run for row in self.rows for run in row.runs))
 
 
-def against_rivals(trials: Sequence[Trial], rivals: Sequence[Contender]) -> Experiment:
-    """Hold the contender of `trials`, one a bag, against rivals on the same frames."""
-    contenders = [trial.contender for trial in trials[:1]] + list(rivals)
+def against_baselines(runs: Sequence[Run], baselines: Sequence[Method]) -> Experiment:
+    """Hold the method of `runs`, one a bag, against baselines on the same frames."""
+    methods = [run.method for run in runs[:1]] + list(baselines)
     rows = (
-        Row(contender.name, tuple(replace(trial, contender=contender) for trial in trials))
-        for contender in contenders
+        Row(method.name, tuple(replace(run, method=method) for run in runs)) for method in methods
     )
-    return Experiment("rivals", "segmenter", tuple(rows))
+    return Experiment("baselines", "segmenter", tuple(rows))
 
 
-def ablation(trials: Sequence[Trial], parameters: Parameters) -> Experiment:
-    """Change one thing at a time in the method's parameters, on the bags of `trials`."""
-    return Experiment("ablation", "variant", _variants(trials, parameters, VARIANTS))
+def ablation(runs: Sequence[Run], parameters: Parameters) -> Experiment:
+    """Change one thing at a time in the method's parameters, on the bags of `runs`."""
+    return Experiment("ablation", "variant", _variants(runs, parameters, VARIANTS))
 
 
-def sensitivity(trials: Sequence[Trial], parameters: Parameters) -> Experiment:
-    """Halve and double each number among the method's parameters, on the bags of `trials`.
+def sensitivity(runs: Sequence[Run], parameters: Parameters) -> Experiment:
+    """Halve and double each number among the method's parameters, on the bags of `runs`.
 
     Whole numbers are rounded, all are kept within their range; what that leaves as it is, is
     left out.
@@ -99,7 +98,7 @@ def sensitivity(trials: Sequence[Trial], parameters: Parameters) -> Experiment:
         if name and group not in _GROUPS_OF_THE_NODE and type(number) in (int, float):
             for changed in _halved_and_doubled(declared, float(number)):
                 variants[f"{declared.name} {changed}"] = {declared.name: changed}
-    return Experiment("sensitivity", "variant", _variants(trials, parameters, variants))
+    return Experiment("sensitivity", "variant", _variants(runs, parameters, variants))
 
 
 def _halved_and_doubled(declared: Declaration, value: float) -> Iterable[Value]:
@@ -113,70 +112,70 @@ def _halved_and_doubled(declared: Declaration, value: float) -> Iterable[Value]:
 
 
 def _variants(
-    trials: Sequence[Trial],
+    runs: Sequence[Run],
     parameters: Parameters,
     variants: Mapping[str, Mapping[str, Value]],
 ) -> tuple[Row, ...]:
     rows = []
     for name, changed in variants.items():
-        method = Method(name, parameters.replace(changed))
-        own = (replace(trial, contender=method, illustrated=False) for trial in trials)
+        method = TurbsegMethod(name, parameters.replace(changed))
+        own = (replace(run, method=method, illustrated=False) for run in runs)
         rows.append(Row(name, tuple(own), parameters=changed))
     return tuple(rows)
 
 
 def tilt_curve(
-    trials: Sequence[Trial], contenders: Sequence[Contender], strengths: Sequence[float], seed: int
+    runs: Sequence[Run], methods: Sequence[Method], strengths: Sequence[float], seed: int
 ) -> Experiment:
     """Add turbulence of several strengths, rms tilt an axis in pixels, to the bags."""
 
     def disturbance(tilt_px: float) -> Disturbance | None:
         return AddedTurbulence(tilt_px, seed) if tilt_px else None
 
-    rows = _curve(trials, contenders, strengths, disturbance)
+    rows = _curve(runs, methods, strengths, disturbance)
     return Experiment("tilt_curve", "segmenter", rows, strength_name="added_tilt_px")
 
 
 def shake_curve(
-    trials: Sequence[Trial], contenders: Sequence[Contender], strengths: Sequence[float], seed: int
+    runs: Sequence[Run], methods: Sequence[Method], strengths: Sequence[float], seed: int
 ) -> Experiment:
     """Shake the bags' pictures by several strengths, rms step an axis in pixels a frame.
 
     All strengths show the same part of the scene, so also none at all is not as recorded.
     """
     widest = max(strengths)
-    rows = _curve(trials, contenders, strengths, lambda step_px: AddedShake(step_px, widest, seed))
+    rows = _curve(runs, methods, strengths, lambda step_px: AddedShake(step_px, widest, seed))
     return Experiment("shake_curve", "segmenter", rows, strength_name="added_shake_px")
 
 
 def _curve(
-    trials: Sequence[Trial],
-    contenders: Sequence[Contender],
+    runs: Sequence[Run],
+    methods: Sequence[Method],
     strengths: Sequence[float],
     disturbance: Callable[[float], Disturbance | None],
 ) -> tuple[Row, ...]:
     return tuple(
         Row(
-            contender.name,
+            method.name,
             tuple(
                 replace(
-                    trial,
-                    contender=contender,
+                    run,
+                    method=method,
                     disturbance=disturbance(strength),
                     illustrated=False,
                 )
-                for trial in trials
+                for run in runs
             ),
             strength,
         )
-        for contender in contenders
+        for method in methods
         for strength in strengths
     )
 
 
 @dataclass(frozen=True)
 class ScoredRow:
-    """What a row's trials came to; bags whose trial failed are missing."""
+    """What a row's runs came to; bags whose run failed are missing."""
 
     name: str
     strength: float | None
@@ -197,10 +196,10 @@ class ScoredExperiment:
     rows: tuple[ScoredRow, ...]
 
     @classmethod
-    def of(cls, experiment: Experiment, results: Mapping[Trial, TrialResult]) -> ScoredExperiment:
-        """Look up the results of an experiment's trials, as far as there are any."""
+    def of(cls, experiment: Experiment, results: Mapping[Run, RunResult]) -> ScoredExperiment:
+        """Look up the results of an experiment's runs, as far as there are any."""
         rows = (
-            ScoredRow(row.name, row.strength, row.parameters, tuple(_scores(row.trials, results)))
+            ScoredRow(row.name, row.strength, row.parameters, tuple(_scores(row.runs, results)))
             for row in experiment.rows
         )
         return cls(experiment, tuple(rows))
@@ -219,7 +218,7 @@ class ScoredExperiment:
         return curves
 
     def as_json(self) -> list[dict[str, Any]]:
-        """Give the rows as JSON has them."""
+        """Return the rows as JSON has them."""
         return [self._row_as_json(row) for row in self.rows]
 
     def _row_as_json(self, row: ScoredRow) -> dict[str, Any]:
@@ -234,7 +233,7 @@ class ScoredExperiment:
 
 
 def text_table(scored: ScoredExperiment) -> list[str]:
-    """Give the means over the bags as lines of text: all figures, or of a curve J."""
+    """Return the means over the bags as lines of text: all figures, or of a curve J."""
     if scored.strengths:
         return _curve_table(scored)
     table = Table.of([row.name for row in scored.rows], scored.experiment.rows_are)
@@ -242,7 +241,7 @@ def text_table(scored: ScoredExperiment) -> list[str]:
 
 
 def _curve_table(scored: ScoredExperiment) -> list[str]:
-    """Give a line for each strength, a column for each segmenter."""
+    """Return a line for each strength, a column for each segmenter."""
     columns = [[scored.experiment.strength_name, *(f"{s:g}" for s in scored.strengths)]]
     for name, rows in scored.curves.items():
         means = (row.mean["j"] for row in rows)
@@ -254,5 +253,5 @@ def _curve_table(scored: ScoredExperiment) -> list[str]:
     ]
 
 
-def _scores(trials: Iterable[Trial], results: Mapping[Trial, TrialResult]) -> Iterable[BagScores]:
-    return (results[trial].scores for trial in trials if trial in results)
+def _scores(runs: Iterable[Run], results: Mapping[Run, RunResult]) -> Iterable[BagScores]:
+    return (results[run].scores for run in runs if run in results)

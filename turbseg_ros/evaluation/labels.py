@@ -13,7 +13,7 @@ import numpy.typing as npt
 from turbseg_ros.bag.errors import BagError
 from turbseg_ros.bag.reader import BagReader
 from turbseg_ros.evaluation.metrics import Labels
-from turbseg_ros.ros.image_conversion import (
+from turbseg_ros.messages.images import (
     ImageConversionError,
     image_from_message,
     stamp_to_ns,
@@ -30,7 +30,7 @@ class StampedLabels:
 
 
 def read_labels(reader: BagReader, topic: str) -> Iterator[StampedLabels]:
-    """Give the label images (mono8 or mono16) of a topic, in the order they were recorded.
+    """Return the label images (mono8 or mono16) of a topic, in the order they were recorded.
 
     :raises BagError: when the bag has no such topic, or it holds anything but label images.
     """
@@ -70,7 +70,7 @@ class LabelsByStamp:
         self._compressed[item.stamp] = _compressed(item.labels)
 
     def at(self, stamp: int) -> Labels | None:
-        """Give the labels of the frame with this stamp, None when there are none."""
+        """Return the labels of the frame with this stamp, None when there are none."""
         compressed = self._compressed.get(stamp)
         if compressed is None:
             return None
@@ -78,7 +78,7 @@ class LabelsByStamp:
 
 
 def result_from_labels(frame: Frame, labels: Labels) -> SegmentationResult:
-    """Give the result that labels alone tell of: objects without velocity, slot and trail."""
+    """Return the result that labels alone tell of: objects without velocity, slot and trail."""
     return SegmentationResult(
         frame=frame,
         labels=labels.astype(np.uint16, copy=False),

@@ -27,19 +27,19 @@ _UNION_VALUE = 255
 
 
 def jaccard(prediction: Mask, truth: Mask) -> float:
-    """Give J, the intersection over the union of two masks."""
+    """Return J, the intersection over the union of two masks."""
     intersection, union, _ = _overlap(prediction, truth)
     return intersection / union if union else 1.0
 
 
 def dice(prediction: Mask, truth: Mask) -> float:
-    """Give Dice's coefficient (F1) of two masks, 2 |P ∩ T| / (|P| + |T|)."""
+    """Return Dice's coefficient (F1) of two masks, 2 |P ∩ T| / (|P| + |T|)."""
     intersection, _, total = _overlap(prediction, truth)
     return 2.0 * intersection / total if total else 1.0
 
 
 def boundary_f(prediction: Mask, truth: Mask, tolerance: float = BOUNDARY_TOLERANCE) -> float:
-    """Give the F measure of the boundaries of two masks.
+    """Return the F measure of the boundaries of two masks.
 
     Precision is the share of predicted boundary within `tolerance` (of the image's diagonal,
     rounded up to pixels) of the true one, recall the other way round. As in Perazzi et al.,
@@ -56,7 +56,7 @@ def boundary_f(prediction: Mask, truth: Mask, tolerance: float = BOUNDARY_TOLERA
 
 
 def foreground_fraction(mask: Mask) -> float:
-    """Give the share of an image that is foreground."""
+    """Return the share of an image that is foreground."""
     return float(np.count_nonzero(mask)) / mask.size
 
 
@@ -97,8 +97,8 @@ class IdSwitchCounter:
             column = columns.get(self._partner.get(true_id, 0))
             if column is not None and iou[row, column] >= MATCH_IOU:
                 # Two objects whose last partner is the same can't both keep it.
-                rival = kept.get(column)
-                if rival is None or iou[row, column] > iou[rival, column]:
+                baseline = kept.get(column)
+                if baseline is None or iou[row, column] > iou[baseline, column]:
                     kept[column] = row
         return [(row, column) for column, row in kept.items()]
 
@@ -117,7 +117,7 @@ def _pairs(iou: npt.NDArray[np.float64], kept: list[tuple[int, int]]) -> list[tu
 def _object_overlaps(
     prediction: Labels, truth: Labels
 ) -> tuple[list[int], list[int], npt.NDArray[np.float64]]:
-    """Give the ids in the truth, those in the prediction and the IoU of each with each."""
+    """Return the ids in the truth, those in the prediction and the IoU of each with each."""
     foreground = (prediction != 0) | (truth != 0)
     true_ids, rows = np.unique(truth[foreground], return_inverse=True)
     predicted_ids, columns = np.unique(prediction[foreground], return_inverse=True)
@@ -129,7 +129,7 @@ def _object_overlaps(
 
 
 def _overlap(prediction: Mask, truth: Mask) -> tuple[int, int, int]:
-    """Give the pixels of the intersection, of the union and of both masks summed."""
+    """Return the pixels of the intersection, of the union and of both masks summed."""
     predicted, true = prediction != 0, truth != 0
     intersection = int(np.count_nonzero(predicted & true))
     total = int(np.count_nonzero(predicted)) + int(np.count_nonzero(true))

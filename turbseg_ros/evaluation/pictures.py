@@ -77,7 +77,7 @@ class Illustrator:
         self._seen += 1
 
     def illustrations(self) -> Illustrations:
-        """Give what was drawn."""
+        """Return what was drawn."""
         return Illustrations(
             tiles=tuple(self._tiles),
             worst=tuple(_close_up(judged) for judged in self._worst.in_order()),
@@ -138,7 +138,7 @@ def _close_up(judged: _Judged) -> Picture:
 
 
 def _window(wrong: npt.NDArray[np.bool_]) -> tuple[slice, slice]:
-    """Give rows and columns around what is wrong, with the picture's proportions, inside of it."""
+    """Return rows and columns around what is wrong, in the picture and of its proportions."""
     height, width = wrong.shape
     x, y, wrong_width, wrong_height = cv2.boundingRect(wrong.astype(np.uint8))
     needed = (1 + _ROOM) * max(wrong_width / width, wrong_height / height)

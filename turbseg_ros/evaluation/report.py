@@ -20,8 +20,8 @@ import numpy as np
 from turbseg_ros.evaluation.chart import Chart, Line
 from turbseg_ros.evaluation.experiments import ScoredExperiment, ScoredRow
 from turbseg_ros.evaluation.pictures import Illustrations, Picture
+from turbseg_ros.evaluation.run import Run, RunResult
 from turbseg_ros.evaluation.scores import COLUMNS, BagScores, mean_scores, write_whole
-from turbseg_ros.evaluation.trials import Trial, TrialResult
 from turbseg_ros.parameters import Parameters, Value
 
 PAGE = "index.html"
@@ -39,17 +39,17 @@ class ReportError(Exception):
 
 @dataclass(frozen=True)
 class Report:
-    """What a report tells of: the method's `trials`, one a bag, what it was compared with.
+    """What a report tells of: the method's `runs`, one a bag, what it was compared with.
 
-    `command` holds the words of the line that made it, `results` what came of the trials, the
+    `command` holds the words of the line that made it, `results` what came of the runs, the
     experiments' among them.
     """
 
     command: Sequence[str]
     parameters: Parameters
-    trials: Sequence[Trial]
+    runs: Sequence[Run]
     experiments: Sequence[ScoredExperiment]
-    results: Mapping[Trial, TrialResult]
+    results: Mapping[Run, RunResult]
 
 
 class ReportWriter:
@@ -74,7 +74,7 @@ class ReportWriter:
         self._picture = environment.get_template("chart.svg.jinja")
 
     def write(self, directory: Path, report: Report) -> Path:
-        """Write the page into a directory; give its path.
+        """Write the page into a directory; return its path.
 
         :raises OSError: when it can't be written; an older page then stays as it was.
         """
@@ -97,8 +97,8 @@ class ReportWriter:
         return paths
 
     def page(self, report: Report) -> str:
-        """Give the page as HTML."""
-        scores = [report.results[trial].scores for trial in report.trials]
+        """Return the page as HTML."""
+        scores = [report.results[run].scores for run in report.runs]
         return self._page.render(
             command=report.command,
             columns=COLUMNS,
@@ -108,7 +108,7 @@ class ReportWriter:
             summary=_summary(scores),
             short=_short_names([bag.bag for bag in scores]),
             experiments=[_view(experiment) for experiment in report.experiments],
-            bags=[_bag_view(report, trial) for trial in report.trials],
+            bags=[_bag_view(report, run) for run in report.runs],
             parameters=report.parameters.as_mapping(),
             changed=_changed(report.parameters),
             versions=_versions(),
@@ -174,7 +174,7 @@ def _summary(scores: Sequence[BagScores]) -> list[_Figure]:
 
 
 def _short_names(bags: Sequence[str]) -> dict[str, str]:
-    """Give each bag's name without the folders that all of them are in."""
+    """Return each bag's name without the folders that all of them are in."""
     parts = [Path(bag).parts for bag in bags]
     shared = 0
     while all(len(each) > shared + 1 for each in parts) and len({p[shared] for p in parts}) == 1:
@@ -219,27 +219,27 @@ def _curves(scored: ScoredExperiment) -> Chart:
     return Chart(title, x_label, "mean J", tuple(lines), tuple(scored.strengths))
 
 
-def _bag_view(report: Report, trial: Trial) -> _BagView:
-    result = report.results[trial]
+def _bag_view(report: Report, run: Run) -> _BagView:
+    result = report.results[run]
     illustrations = result.illustrations
     chart = None
     if illustrations is not None and len(illustrations.j) > 1:
         line = Line("J", tuple((float(frame), j) for frame, j in illustrations.j))
-        title = f"J in each frame of {trial.source.name}"
+        title = f"J in each frame of {run.source.name}"
         chart = Chart(title, "frame", "J", (line,), marked=False, height=_LOW)
-    return _BagView(result.scores, illustrations, chart, _compared(report, trial))
+    return _BagView(result.scores, illustrations, chart, _compared(report, run))
 
 
-def _compared(report: Report, trial: Trial) -> list[tuple[str, Picture]]:
-    """Give one frame of a bag as each segmenter answered it, from well into the clip."""
+def _compared(report: Report, run: Run) -> list[tuple[str, Picture]]:
+    """Return one frame of a bag as each segmenter answered it, from well into the clip."""
     pictures = []
     for experiment in report.experiments:
-        if experiment.experiment.key != "rivals":
+        if experiment.experiment.key != "baselines":
             continue
         for row in experiment.experiment.rows:
-            for candidate in row.trials:
+            for candidate in row.runs:
                 result = report.results.get(candidate)
-                if candidate.source == trial.source and result and result.illustrations:
+                if candidate.source == run.source and result and result.illustrations:
                     tiles = result.illustrations.tiles
                     pictures.append((row.name, tiles[2 * len(tiles) // 3]))
     return pictures

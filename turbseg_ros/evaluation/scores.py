@@ -49,7 +49,7 @@ class BagScores:
     tilt_px: float | None
 
     def without_ids(self) -> BagScores:
-        """Give the scores of something that doesn't claim to follow objects."""
+        """Return the scores of something that doesn't claim to follow objects."""
         return dataclasses.replace(self, id_switches=None)
 
 
@@ -77,7 +77,7 @@ class Measurements:
         return float(np.median(known)) if known else None
 
     def push_milliseconds(self, percentile: float) -> float | None:
-        """Give a percentile of the time that a push took."""
+        """Return a percentile of the time that a push took."""
         if not self.push_seconds:
             return None
         return 1e3 * float(np.percentile(self.push_seconds, percentile))
@@ -132,7 +132,7 @@ class Scorer:
 
 
 def mean_scores(bags: Sequence[BagScores]) -> dict[str, float | None]:
-    """Give each figure's mean over the bags that have it."""
+    """Return each figure's mean over the bags that have it."""
     names = [figure.name for figure in dataclasses.fields(BagScores) if figure.name != "bag"]
     return {
         name: _mean([value for bag in bags if (value := getattr(bag, name)) is not None])
@@ -189,7 +189,7 @@ class Column:
         return max(len(self.title), 6)
 
     def text(self, figures: Mapping[str, Any]) -> str:
-        """Give the figure as it is printed, a dash when there is none."""
+        """Return the figure as it is printed, a dash when there is none."""
         value = figures[self.name]
         return "-" if value is None else format(value, self.format)
 
@@ -234,11 +234,11 @@ class Table:
         return self._line(self.title, [column.title for column in COLUMNS])
 
     def row(self, scores: BagScores) -> str:
-        """Give the line of one bag."""
+        """Return the line of one bag."""
         return self._row(scores.bag, dataclasses.asdict(scores))
 
     def mean(self, bags: Sequence[BagScores], name: str = "mean") -> str:
-        """Give the line of the means over bags."""
+        """Return the line of the means over bags."""
         return self._row(name, mean_scores(bags))
 
     def _row(self, name: str, figures: Mapping[str, Any]) -> str:

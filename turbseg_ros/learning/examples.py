@@ -11,9 +11,9 @@ import numpy.typing as npt
 from turbseg_ros.learning.random_scenes import random_scene
 from turbseg_ros.learning.window_input import CHANNELS, SIDE, resized, window_input
 from turbseg_ros.parameters import Parameters
+from turbseg_ros.segmentation.foreground import ObjectCrop, foreground_masks
 from turbseg_ros.segmentation.frame import Frame
 from turbseg_ros.segmentation.pipeline import MotionSegmenter
-from turbseg_ros.segmentation.silhouette import ObjectWindow, silhouettes
 from turbseg_ros.simulation.render import render
 
 Map = npt.NDArray[np.float32]
@@ -37,7 +37,7 @@ class Examples:
     ruled: HalfMaps
 
     def __len__(self) -> int:
-        """Give the number of windows."""
+        """Return the number of windows."""
         return len(self.inputs)
 
     @classmethod
@@ -74,13 +74,13 @@ class _Observer:
         self._threshold = threshold
         self._kept: list[tuple[Map, Map, Map]] = []
 
-    def refine(self, windows: Sequence[ObjectWindow]) -> list[Map]:
-        """Give 1 within the outlines by rules, 0 without."""
+    def refine(self, windows: Sequence[ObjectCrop]) -> list[Map]:
+        """Return 1 within the outlines by rules, 0 without."""
         return [self._refined(window) for window in windows]
 
-    def _refined(self, window: ObjectWindow) -> Map:
+    def _refined(self, window: ObjectCrop) -> Map:
         ruled = np.zeros(window.box.shape, np.float32)
-        for outline in silhouettes([window], self._threshold):
+        for outline in foreground_masks([window], self._threshold):
             inside = outline.box.moved(-window.box.x0, -window.box.y0)
             ruled[inside.slices][outline.mask] = 1.0
         if window.stamp in self._truth:
@@ -91,7 +91,7 @@ class _Observer:
         return ruled
 
     def examples(self) -> Examples:
-        """Give what was kept."""
+        """Return what was kept."""
         count = len(self._kept)
         inputs = np.empty((count, len(CHANNELS), SIDE, SIDE), np.float16)
         truth, ruled = np.empty((2, count, SIDE, SIDE), np.float16)

@@ -26,7 +26,7 @@ def write_onnx(net: RefineNet, path: Path) -> None:
 
 
 def without_notes(model: ModelProto) -> ModelProto:
-    """Give a model without the exporter's notes, which name the files of this machine."""
+    """Return a model without the exporter's notes, which name the files of this machine."""
     bare = ModelProto()
     bare.CopyFrom(model)
     graph = bare.graph

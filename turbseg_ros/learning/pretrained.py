@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from turbseg_ros.learning.errors import NetworkError
+from turbseg_ros.learning.torch_import import NetworkError
 from turbseg_ros.learning.window_input import CHANNELS, SIDE, at_window_size, window_input
-from turbseg_ros.segmentation.silhouette import ObjectWindow
+from turbseg_ros.segmentation.foreground import ObjectCrop
 
 Map = npt.NDArray[np.float32]
 
@@ -24,7 +24,7 @@ _ENGINE = [cv2.dnn.ENGINE_CLASSIC] if hasattr(cv2.dnn, "ENGINE_CLASSIC") else []
 
 
 class PretrainedRefiner:
-    """Tells objects from background in one pass of a network over each window.
+    """Tells objects from background in one pass of a network over each crop.
 
     :raises NetworkError: when the file is missing or holds no such network.
     """
@@ -41,9 +41,9 @@ class PretrainedRefiner:
         if judged.shape != (SIDE, SIDE):
             raise NetworkError(f"{path}: gives {judged.shape}, not one map of {SIDE}x{SIDE}")
 
-    def refine(self, windows: Sequence[ObjectWindow]) -> list[Map]:
-        """Give for each window, hxw, the probability from 0 to 1 that a pixel is an object's."""
-        return [at_window_size(self._judge(window_input(each)), each) for each in windows]
+    def refine(self, crops: Sequence[ObjectCrop]) -> list[Map]:
+        """Return for each crop, hxw, the probability from 0 to 1 that a pixel is an object's."""
+        return [at_window_size(self._judge(window_input(each)), each) for each in crops]
 
     def _judge(self, maps: Map) -> Map:
         self._net.setInput(maps[None])

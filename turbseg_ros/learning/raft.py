@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 from torchvision.models import optical_flow as models
 
-from turbseg_ros.learning.errors import NetworkError
+from turbseg_ros.learning.torch_import import NetworkError
 
 Flow = npt.NDArray[np.float32]
 GreyImage = npt.NDArray[np.uint8]
@@ -26,7 +26,7 @@ _PUBLISHED = {
 }
 # RAFT works on an eighth of the picture, and its correlation pyramid needs 16 pixels of that.
 _STRIDE = 8
-_LEAST_SIDE = 128
+_MIN_SIDE = 128
 # What RAFT's authors call the parameters that torchvision calls otherwise, one step at a time.
 _RENAMED = (
     (r"^module\.", ""),
@@ -69,7 +69,7 @@ class RaftFlow:
         self._net = net.eval().to(device=self.device, memory_format=torch.channels_last)
 
     def flows_to(self, source: GreyImage, targets: Mapping[int, GreyImage]) -> dict[int, Flow]:
-        """Give the flow F(t→t+k), HxWx2, for every neighbour {k: HxW grey, aligned to t}."""
+        """Return the flow F(t→t+k), HxWx2, for every neighbour {k: HxW grey, aligned to t}."""
         if not targets:
             return {}
         second = self._batch(np.stack(list(targets.values())))
@@ -92,7 +92,7 @@ class RaftFlow:
 
 
 def resolved_device(asked: str) -> str:
-    """Tell where networks run: cpu or cuda.
+    """Return where networks run: cpu or cuda.
 
     :param asked: auto, cpu or cuda.
     :raises NetworkError: when a GPU was asked for that torch can't use.
@@ -108,7 +108,7 @@ def resolved_device(asked: str) -> str:
 
 
 def _padded(length: int) -> int:
-    return max(-(-length // _STRIDE) * _STRIDE, _LEAST_SIDE)
+    return max(-(-length // _STRIDE) * _STRIDE, _MIN_SIDE)
 
 
 def _checkpoint(architecture: str, weights: Path | None) -> object:
@@ -156,6 +156,6 @@ def _as_torchvision_names(parameters: Mapping[str, Tensor]) -> dict[str, Tensor]
 
 
 def _line(error: Exception) -> str:
-    """Give an error's first line."""
+    """Return an error's first line."""
     text = str(error).strip() or type(error).__name__
     return text.splitlines()[0]

@@ -14,11 +14,11 @@ from turbseg_ros.simulation.turbulence import Turbulence
 
 _WIDTHS = (384, 432, 512, 640, 864)
 _WIDTH_ODDS = (0.25, 0.25, 0.25, 0.15, 0.1)
-_MOST_OBJECTS = 4
+_MAX_OBJECTS = 4
 # Sizes of objects and lengths of their ways a frame, as fractions of the width; rms tilt in
 # pixels of a picture 432 wide.
 _SIZES = 0.018, 0.4
-_LARGEST_PERSON = 0.25
+_MAX_PERSON = 0.25
 _SPEEDS = 0.0006, 0.02
 _TILTS = 0.08, 2.0
 _EMPTY = 0.08
@@ -33,7 +33,7 @@ def random_scene(rng: np.random.Generator, frames: int) -> Scene:
     width = int(rng.choice(_WIDTHS, p=_WIDTH_ODDS))
     height = width * 9 // 16 // 2 * 2
     thermal = bool(rng.random() < _THERMAL)
-    count = 0 if rng.random() < _EMPTY else int(rng.integers(1, _MOST_OBJECTS + 1))
+    count = 0 if rng.random() < _EMPTY else int(rng.integers(1, _MAX_OBJECTS + 1))
     return Scene(
         name="random",
         summary="drawn at random",
@@ -57,7 +57,7 @@ def _random_object(
     kind = "patchwork" if rng.random() < _PATCHWORK else str(rng.choice(list(KINDS)))
     size = _log_uniform(rng, *_SIZES) * width
     if kind == "person":
-        size = min(size, _LARGEST_PERSON * width)
+        size = min(size, _MAX_PERSON * width)
     level = bool(KINDS[kind].footprint)
     speed = _log_uniform(rng, *_SPEEDS) * width
     angle = rng.normal(0.0, 0.05 if level else 0.5) + math.pi * rng.integers(0, 2)

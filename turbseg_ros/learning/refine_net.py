@@ -10,7 +10,7 @@ from torch.nn import functional
 
 
 class RefineNet(nn.Module):  # type: ignore[misc]  # torch is read as untyped
-    """Give logits of object against background for every pixel: NxKxHxW for NxCxHxW.
+    """Return logits of object against background for every pixel: NxKxHxW for NxCxHxW.
 
     H and W are divisible by 2 to the number of levels below the first.
 

@@ -1,10 +1,14 @@
-"""Tells in one line that torch is missing, where something was chosen that needs it."""
+"""What is said where a network was chosen that can't be had."""
 
 from __future__ import annotations
 
 import importlib.util
 
-from turbseg_ros.learning.errors import NetworkError
+from turbseg_ros.parameters import ParameterError
+
+
+class NetworkError(ParameterError):
+    """A network that was chosen and can't be had; the text is one line: what, and how to mend."""
 
 
 def require_torch(what: str) -> None:

@@ -30,7 +30,7 @@ _SIZE = [CHANNELS.index(name) for name in ("width", "height")]
 
 
 def loss_of(logits: Tensor, truth: Tensor) -> Tensor:
-    """Give cross-entropy plus one minus the Dice coefficient, averaged over windows.
+    """Return cross-entropy plus one minus the Dice coefficient, averaged over windows.
 
     :param logits: Nx1xHxW.
     :param truth: Nx1xHxW, from 0 to 1.

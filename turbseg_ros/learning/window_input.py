@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from turbseg_ros.segmentation.background import background_in, deviation_from, difference_from
-from turbseg_ros.segmentation.silhouette import ObjectWindow, guided_filter
+from turbseg_ros.segmentation.foreground import ObjectCrop, guided_filter
 
 Map = npt.NDArray[np.float32]
 _Value = TypeVar("_Value", np.uint8, np.float32)
@@ -40,7 +40,7 @@ CHANNELS = (
 _EDGE_REACH = 2
 _EDGE_VARIANCE = 1e-3
 # Grey values that a plain window is taken to vary by.
-_LEAST_CONTRAST = 6.0
+_MIN_CONTRAST = 6.0
 # Where deviation and motion, in units of their noise, come to half of their range.
 _HALF_DEVIATION = 3.0
 _HALF_MOTION = 5.0
@@ -48,8 +48,8 @@ _HALF_MOTION = 5.0
 _USUAL = 85
 
 
-def window_input(window: ObjectWindow) -> Map:
-    """Give the network's input, float32 CHANNELSxSIDExSIDE, each about -1 to 1."""
+def window_input(window: ObjectCrop) -> Map:
+    """Return the network's input, float32 CHANNELSxSIDExSIDE, each about -1 to 1."""
     # A large window is looked at no closer than the network sees it.
     shape = min(window.box.shape[0], SIDE), min(window.box.shape[1], SIDE)
     image = resized(window.image, shape).reshape(*shape, -1)
@@ -57,11 +57,11 @@ def window_input(window: ObjectWindow) -> Map:
     known = background.known.astype(np.float32)
     moving, core, motion = (
         resized(np.asarray(values, np.float32), shape)
-        for values in (window.area.mask, window.area.core, window.motion)
+        for values in (window.area.search_mask, window.area.probable, window.motion)
     )
     grey = _grey(image)
     centred = grey - grey.mean()
-    contrast = max(float(np.sqrt(np.mean(centred * centred))), _LEAST_CONTRAST)
+    contrast = max(float(np.sqrt(np.mean(centred * centred))), _MIN_CONTRAST)
     change = grey - _grey(background.median)
     deviation = deviation_from(background, image, window.tilt)
     difference = difference_from(background, image) * known
@@ -85,7 +85,7 @@ def window_input(window: ObjectWindow) -> Map:
     return seen
 
 
-def at_window_size(probability: Map, window: ObjectWindow) -> Map:
+def at_window_size(probability: Map, window: ObjectCrop) -> Map:
     """Bring a network's output, SIDExSIDE, to the window's size, hxw.
 
     In a larger window its edges are then brought to those of the picture.
@@ -107,12 +107,12 @@ def _usual(values: Map, where: npt.NDArray[np.bool_], least: float) -> float:
 
 
 def _within(values: Map, most: float) -> Map:
-    """Give values cut off at `most` and its negative."""
+    """Return values cut off at `most` and its negative."""
     return np.clip(values, -most, most, out=values)
 
 
 def _grey(picture: npt.NDArray[Any]) -> Map:
-    """Give the mean of the channels, hxw."""
+    """Return the mean of the channels, hxw."""
     channels = picture.shape[2]
     shares = np.full((1, channels), 1 / channels)
     grey: Map = cv2.transform(picture.astype(np.float32), shares).reshape(picture.shape[:2])

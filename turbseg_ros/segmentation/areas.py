@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from turbseg_ros.segmentation.cropped_mask import CroppedMask, convex_hull
 from turbseg_ros.segmentation.motion import MotionEstimate
-from turbseg_ros.segmentation.outline import Outline, convex_hull
 from turbseg_ros.segmentation.region_growing import Region, Seed
 
 Flow = npt.NDArray[np.float32]
@@ -31,22 +31,23 @@ _NEAR = 0.5
 class MovingArea:
     """Where objects of one motion are to be looked for; `velocity` is in pixels a frame.
 
-    `mask` holds all of them and more, for flow smears past edges; `core` is where motion is so
-    strong that it is hardly smear; `heart` lies so deep in the core that it surely is object.
+    `search_mask` holds all of them and more, for flow smears past edges; `probable` is where
+    motion is so strong that it is hardly smear; `certain` lies so deep in that part that it
+    surely is object.
     """
 
-    mask: Outline
-    core: Outline
-    heart: Outline
+    search_mask: CroppedMask
+    probable: CroppedMask
+    certain: CroppedMask
     velocity: tuple[float, float]
 
     def moved(self, transform: Matrix, shape: tuple[int, int]) -> MovingArea:
-        """Give the area where a transform takes it, what is left of it in a frame of `shape`."""
-        mask, core, heart = (
+        """Return the area where a transform takes it, what is left of it in a frame of `shape`."""
+        mask, probable, certain = (
             outline.resampled(transform, shape, cv2.INTER_NEAREST)
-            for outline in (self.mask, self.core, self.heart)
+            for outline in (self.search_mask, self.probable, self.certain)
         )
-        return MovingArea(mask, core, heart, self.velocity)
+        return MovingArea(mask, probable, certain, self.velocity)
 
 
 def moving_areas(
@@ -64,25 +65,25 @@ def moving_areas(
     areas = []
     for group in _of_one_velocity(regions):
         seed = max((region.seed for region in group), key=lambda seed: seed.strength)
-        cores = [_core_of(region, motion, seed) for region in group]
-        core = convex_hull(cores)
-        heart = core.eroded(SMEAR, (height, width))
+        probable_parts = [_probable_part(region, motion, seed) for region in group]
+        probable = convex_hull(probable_parts)
+        certain = probable.eroded(SMEAR, (height, width))
         areas.append(
             MovingArea(
-                mask=convex_hull([region.outline for region in group]).enlarged(size, frame),
-                core=core.enlarged(size, frame),
-                heart=heart.enlarged(size, frame),
+                search_mask=convex_hull([region.outline for region in group]).resized(size, frame),
+                probable=probable.resized(size, frame),
+                certain=certain.resized(size, frame),
                 velocity=(seed.velocity[0] * size[0] / width, seed.velocity[1] * size[1] / height),
             )
         )
     return areas
 
 
-def _core_of(region: Region, motion: MotionEstimate, seed: Seed) -> Outline:
-    """Give what of a region shares most of a seed's velocity."""
+def _probable_part(region: Region, motion: MotionEstimate, seed: Seed) -> CroppedMask:
+    """Return what of a region shares most of a seed's velocity."""
     within = region.outline.box
     share = _share_of_velocity(motion.velocity[within.slices], seed)
-    return Outline(within, region.outline.mask & (share > _CORE))
+    return CroppedMask(within, region.outline.mask & (share > _CORE))
 
 
 def _of_one_velocity(regions: Sequence[Region]) -> list[list[Region]]:
@@ -105,7 +106,7 @@ def _alike(region: Region, other: Region) -> bool:
 
 
 def _share_of_velocity(velocity: Flow, seed: Seed) -> Map:
-    """Give how much of the seed's velocity each pixel of a flow shares, hxw: 1 for all of it."""
+    """Return how much of the seed's velocity each pixel of a flow shares, hxw: 1 for all of it."""
     vx, vy = seed.velocity
     squared = max(vx * vx + vy * vy, 1e-12)
     share: Map = cv2.transform(velocity, np.array([[vx, vy]]) / squared)

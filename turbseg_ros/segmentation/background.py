@@ -16,9 +16,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from turbseg_ros.segmentation.cropped_mask import Box, CroppedMask
 from turbseg_ros.segmentation.exposure import AS_IT_IS, Exposure
 from turbseg_ros.segmentation.geometry import scaling, translation, upper_median
-from turbseg_ros.segmentation.outline import Box, Outline
 
 Map = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.bool_]
@@ -27,7 +27,7 @@ Counts = npt.NDArray[np.int32]
 Matrix = npt.NDArray[np.float64]
 
 # A pixel's background is known once so many frames have shown it.
-_FEWEST_SAMPLES = 3
+_MIN_SAMPLES = 3
 # Value of the channel that tells where objects hide the scene: no grey value is higher.
 _HIDDEN = 255
 # Area in pixels from which on those of half the size are sampled.
@@ -38,15 +38,15 @@ _AT_ONCE = 16
 # Interquartile range of a normal variable, in standard deviations.
 _IQR_TO_SIGMA = 1.0 / 1.349
 # Grey values closer than this are the same, whatever the camera.
-_LEAST_NOISE = 1.5
+_MIN_NOISE = 1.5
 # One pixel of so many tells what spread is usual.
 _SPREAD_STEP = 3
 # Rest of the tilt, in pixels, that even a calm picture has: registration isn't perfect.
-_LEAST_TILT = 0.25
+_MIN_TILT = 0.25
 
 
 @dataclass(frozen=True)
-class Scene:
+class MaskedImage:
     """A frame and where objects hide the scene in it.
 
     `image` is HxWx(C+1), C 1 or 3: its last channel is 255 where objects are, else 0.
@@ -55,40 +55,40 @@ class Scene:
     image: Image
 
     @functools.cached_property
-    def half(self) -> Scene:
+    def half(self) -> MaskedImage:
         """The same at half the size."""
         size = (max(self.image.shape[1] // 2, 1), max(self.image.shape[0] // 2, 1))
-        return Scene(cv2.resize(self.image, size, interpolation=cv2.INTER_AREA))
+        return MaskedImage(cv2.resize(self.image, size, interpolation=cv2.INTER_AREA))
 
 
 @dataclass(frozen=True)
-class View:
+class AlignedFrame:
     """Another frame of the same scene.
 
     `to_image` takes the reference frame's pixels to its own, `exposure` its grey values to the
     reference's.
     """
 
-    scene: Scene
+    scene: MaskedImage
     to_image: Matrix
     exposure: Exposure = AS_IT_IS
 
 
-def scene_of(picture: Image) -> Scene:
-    """Give the scene that a picture, HxW or HxWxC, shows, no objects hiding it."""
+def unmasked(picture: Image) -> MaskedImage:
+    """Return the scene that a picture, HxW or HxWxC, shows, no objects hiding it."""
     channels = picture.shape[2] if picture.ndim == 3 else 1
     image = np.zeros((*picture.shape[:2], channels + 1), np.uint8)
     # From channel to channel; NumPy would go from pixel to pixel.
     cv2.mixChannels([picture], [image], [each for c in range(channels) for each in (c, c)])
-    return Scene(image)
+    return MaskedImage(image)
 
 
-def without_objects(scene: Scene, objects: Iterable[Outline]) -> Scene:
-    """Give a scene with objects that hide it."""
+def with_objects_masked(scene: MaskedImage, objects: Iterable[CroppedMask]) -> MaskedImage:
+    """Return a scene with objects that hide it."""
     image = scene.image.copy()
     for outline in objects:
         image[outline.box.slices][outline.mask, -1] = _HIDDEN
-    return Scene(image)
+    return MaskedImage(image)
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ class Background:
 
 
 def background_in(
-    box: Box, views: Sequence[View], shape: tuple[int, int] | None = None
+    box: Box, views: Sequence[AlignedFrame], shape: tuple[int, int] | None = None
 ) -> Background:
     """Estimate the background within a box of the reference frame from other views of it.
 
@@ -119,12 +119,12 @@ def background_in(
     return Background(
         median=_without_last(_quantile(ordered, count, 2)).astype(np.float32),
         spread=_without_last(spread) * np.float32(_IQR_TO_SIGMA),
-        known=count >= _FEWEST_SAMPLES,
+        known=count >= _MIN_SAMPLES,
     )
 
 
 def _without_hidden(samples: Image) -> Counts:
-    """Have the samples that objects hide sort last; give how many each pixel has besides, hxw.
+    """Have the samples that objects hide sort last; return how many each pixel has besides, hxw.
 
     :param samples: Nxhxwx(C+1), written to.
     """
@@ -138,7 +138,7 @@ def _without_hidden(samples: Image) -> Counts:
 
 
 def _quantile(ordered: Image, count: Counts, quarters: int) -> Image:
-    """Give so many quarters' quantile of the first `count` values of each pixel, hxwx(C+1).
+    """Return so many quarters' quantile of the first `count` values of each pixel, hxwx(C+1).
 
     :param ordered: Nxhxwx(C+1), the least first; it may have more columns than `count`.
     """
@@ -150,13 +150,13 @@ def _quantile(ordered: Image, count: Counts, quarters: int) -> Image:
 
 
 def _as_numbers(picture: Image) -> npt.NDArray[np.signedinteger[Any]]:
-    """Give a picture's pixels as one number each: all its channels, two or four, at once."""
+    """Return a picture's pixels as one number each: all its channels, two or four, at once."""
     numbers: npt.NDArray[np.signedinteger[Any]] = picture.view(f"<i{picture.shape[-1]}")[..., 0]
     return numbers
 
 
 def _without_last(picture: Image) -> Image:
-    """Give a picture, hxwx(C+1), without its last channel."""
+    """Return a picture, hxwx(C+1), without its last channel."""
     # NumPy would copy pixel by pixel, which takes five times as long.
     return cv2.merge(cv2.split(picture)[:-1]).reshape(*picture.shape[:2], -1)
 
@@ -175,7 +175,7 @@ def _ordered(pictures: Iterable[Image]) -> list[Image]:
 
 @functools.lru_cache(maxsize=64)
 def _sorting_network(count: int) -> tuple[tuple[int, int], ...]:
-    """Give which of `count` values to compare and exchange in turn: Batcher's odd-even merge sort.
+    """Return which of `count` values to compare and exchange: Batcher's odd-even merge sort.
 
     Knuth, The Art of Computer Programming 3, algorithm 5.2.2M.
     """
@@ -192,7 +192,7 @@ def _sorting_network(count: int) -> tuple[tuple[int, int], ...]:
 
 
 def difference_from(background: Background, image: Image) -> Map:
-    """Give the difference in grey values of each pixel, of the channel that differs most, hxw.
+    """Return the difference in grey values of each pixel, of the channel that differs most, hxw.
 
     :param image: hxwxC, the same part of the reference frame.
     """
@@ -200,7 +200,7 @@ def difference_from(background: Background, image: Image) -> Map:
 
 
 def deviation_from(background: Background, image: Image, tilt: float) -> Map:
-    """Give by how many standard deviations each pixel differs from the background, hxw.
+    """Return by how many standard deviations each pixel differs from the background, hxw.
 
     A pixel's variance is what was seen there, not less than what is usual in the picture, and
     what tilt makes of the grey values' slope at it: edges shimmer, plain parts don't.
@@ -208,10 +208,10 @@ def deviation_from(background: Background, image: Image, tilt: float) -> Map:
     :param image: hxwxC, the same part of the reference frame.
     :param tilt: rms turbulent motion an axis in pixels.
     """
-    noise = np.maximum(background.spread, max(_usual_spread(background), _LEAST_NOISE))
+    noise = np.maximum(background.spread, max(_usual_spread(background), _MIN_NOISE))
     noise *= noise
     shimmer = _squared_slope(background.median)
-    shimmer *= np.float32(max(tilt, _LEAST_TILT) ** 2)
+    shimmer *= np.float32(max(tilt, _MIN_TILT) ** 2)
     noise += shimmer
     squared = np.square(image - background.median)
     squared /= noise
@@ -219,7 +219,7 @@ def deviation_from(background: Background, image: Image, tilt: float) -> Map:
 
 
 def _usual_spread(background: Background) -> float:
-    """Give the median of the spread where it is known, 0 if nowhere."""
+    """Return the median of the spread where it is known, 0 if nowhere."""
     channels = background.spread.shape[2]
     spread = background.spread.reshape(-1, channels)[::_SPREAD_STEP]
     known = spread[background.known.ravel()[::_SPREAD_STEP]].ravel()
@@ -227,13 +227,13 @@ def _usual_spread(background: Background) -> float:
 
 
 def largest(values: Map) -> Map:
-    """Give the largest of each pixel's channels, hxw."""
+    """Return the largest of each pixel's channels, hxw."""
     # NumPy's maximum along the last axis, which is short, takes forty times as long.
     return functools.reduce(np.maximum, _channels(values))
 
 
 def smallest(values: Map) -> Map:
-    """Give the smallest of each pixel's channels, hxw."""
+    """Return the smallest of each pixel's channels, hxw."""
     return functools.reduce(np.minimum, _channels(values))
 
 
@@ -242,7 +242,7 @@ def _channels(values: Map) -> list[Map]:
 
 
 def _squared_slope(picture: Map) -> Map:
-    """Give the square of the grey values' gradient, a pixel, hxwxC."""
+    """Return the square of the grey values' gradient, a pixel, hxwxC."""
     smooth = cv2.GaussianBlur(picture, (0, 0), 1.0)
     across = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, scale=1 / 8)
     down = cv2.Sobel(smooth, cv2.CV_32F, 0, 1, scale=1 / 8)
@@ -250,7 +250,7 @@ def _squared_slope(picture: Map) -> Map:
     return squared.reshape(picture.shape)
 
 
-def _sampled(views: Sequence[View], box: Box, shape: tuple[int, int]) -> Image:
+def _sampled(views: Sequence[AlignedFrame], box: Box, shape: tuple[int, int]) -> Image:
     """Resample views in a box, Nxhxwx(C+1); what is out of view counts as hidden.
 
     On the right there may be columns more than asked for.
@@ -275,8 +275,8 @@ def _sampled(views: Sequence[View], box: Box, shape: tuple[int, int]) -> Image:
     return samples
 
 
-def _coarse_enough(scene: Scene, to_scene: Matrix) -> tuple[Scene, Matrix]:
-    """Give a scene at the size at which pixels to be sampled lie less than two apart.
+def _coarse_enough(scene: MaskedImage, to_scene: Matrix) -> tuple[MaskedImage, Matrix]:
+    """Return a scene at the size at which pixels to be sampled lie less than two apart.
 
     :param to_scene: takes the pixels that are wanted to the scene's.
     """

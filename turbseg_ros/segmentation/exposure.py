@@ -18,14 +18,14 @@ Samples = npt.NDArray[np.float32]
 _STEP = 8
 # Grey values out of this range may have been cut off.
 _DARKEST, _BRIGHTEST = 5, 250
-_FEWEST_SAMPLES = 50
+_MIN_SAMPLES = 50
 _REFITS = 2
 # Pixels further off than so many median deviations show something else.
 _OUTLIERS = 4.0
 # Grey values that exposures may differ by and still count as one.
-_LEAST_CHANGE = 2.0
+_MIN_CHANGE = 2.0
 # No change from one frame to another goes further; it is another scene.
-_LARGEST_GAIN = 3.0
+_MAX_GAIN = 3.0
 
 
 @dataclass(frozen=True)
@@ -36,11 +36,11 @@ class Exposure:
     offset: float = 0.0
 
     def then(self, other: Exposure) -> Exposure:
-        """Give what takes the grey values on to those of a third frame."""
+        """Return what takes the grey values on to those of a third frame."""
         return Exposure(self.gain * other.gain, self.offset * other.gain + other.offset)
 
     def applied_to(self, image: ByteImage, channels: int) -> ByteImage:
-        """Give an image, HxW or HxWxC, with the first so many channels as the other frame's."""
+        """Return an image, HxW or HxWxC, with the first so many channels as the other frame's."""
         if self == AS_IT_IS:
             return image
         table = np.repeat(np.arange(256, dtype=np.float32)[:, None], _channels(image), axis=1)
@@ -71,25 +71,25 @@ def exposure_between(source: ByteImage, target: ByteImage, to_source: Matrix) ->
     y = cv2.resize(target[: _STEP * rows, : _STEP * columns], (columns, rows))
     usable = cv2.inRange(x, _DARKEST, _BRIGHTEST) & cv2.inRange(y, _DARKEST, _BRIGHTEST)
     # Most frames are exposed alike, which a glance tells.
-    if cv2.countNonZero(usable) < _FEWEST_SAMPLES or _seem_alike(x, y, usable):
+    if cv2.countNonZero(usable) < _MIN_SAMPLES or _seem_alike(x, y, usable):
         return AS_IT_IS
     x, y = (each[usable > 0].astype(np.float32) for each in (x, y))
     found = _median_line(x, y)
     for _ in range(_REFITS):
-        if upper_median(np.abs(x * (found.gain - 1.0) + found.offset)) < _LEAST_CHANGE:
+        if upper_median(np.abs(x * (found.gain - 1.0) + found.offset)) < _MIN_CHANGE:
             return AS_IT_IS
         found = _refitted(found, x, y)
-    return found if 1 / _LARGEST_GAIN < found.gain < _LARGEST_GAIN else AS_IT_IS
+    return found if 1 / _MAX_GAIN < found.gain < _MAX_GAIN else AS_IT_IS
 
 
 def _seem_alike(x: ByteImage, y: ByteImage, usable: ByteImage) -> bool:
-    """Tell whether mean and deviation differ by less than half of what exposures may."""
+    """Whether mean and deviation differ by less than half of what exposures may."""
     moments = [np.ravel(cv2.meanStdDev(each, mask=usable)) for each in (x, y)]
-    return bool(np.abs(moments[0] - moments[1]).max() < _LEAST_CHANGE / 2)
+    return bool(np.abs(moments[0] - moments[1]).max() < _MIN_CHANGE / 2)
 
 
 def _median_line(x: Samples, y: Samples) -> Exposure:
-    """Give the line through the medians of the darker and of the brighter half.
+    """Return the line through the medians of the darker and of the brighter half.
 
     Brown and Mood (1951). Both frames being equally noisy, halves are told by the sum.
     """

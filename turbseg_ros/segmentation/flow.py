@@ -26,7 +26,7 @@ It takes K intervals as Kx1 and, KxN, which of them see each of N pixels (1, els
 """
 
 # Below this sum of squared distances between intervals, which are whole numbers, there is one.
-_LEAST_SPREAD = 0.25
+_MIN_SPREAD = 0.25
 
 
 class FlowBackend(Protocol):
@@ -37,11 +37,11 @@ class FlowBackend(Protocol):
         """Where it computes: cpu or cuda."""
 
     def flows_to(self, source: GreyImage, targets: Mapping[int, GreyImage]) -> dict[int, Flow]:
-        """Give the flow F(t→t+k) for every neighbour, {k: image of frame t+k aligned to t}."""
+        """Return the flow F(t→t+k) for every neighbour, {k: image of frame t+k aligned to t}."""
 
 
 def dis_flow(source: GreyImage, target: GreyImage, variational_iterations: int) -> Flow:
-    """Give the flow from `source` to `target` by dense inverse search (Kroeger et al. 2016).
+    """Return the flow from `source` to `target` by dense inverse search (Kroeger et al. 2016).
 
     :param source: HxW grey image.
     :param target: HxW grey image of the same size.
@@ -106,16 +106,16 @@ def combined(
 
 
 def slope_shares(intervals: Shares, seen: Shares) -> Shares:
-    """Give the shares that fit a line through the flows: a `Rule`."""
+    """Return the shares that fit a line through the flows: a `Rule`."""
     count = np.maximum(seen.sum(axis=0), 1.0)
     distance = (intervals - (intervals * seen).sum(axis=0) / count) * seen
     spread = (distance**2).sum(axis=0)
-    shares: Shares = distance / np.where(spread > _LEAST_SPREAD, spread, np.inf)
+    shares: Shares = distance / np.where(spread > _MIN_SPREAD, spread, np.inf)
     return shares
 
 
 def mean_shares(intervals: Shares, seen: Shares) -> Shares:
-    """Give the shares of the paper's eq. 1, over what a pixel has: a `Rule`."""
+    """Return the shares of the paper's eq. 1, over what a pixel has: a `Rule`."""
     count = seen.sum(axis=0)
     shares: Shares = seen / (intervals * np.where(count > 1, count, np.inf))
     return shares

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 Image = npt.NDArray[Any]
 
-_MOST_LABELS = 65535
+_MAX_LABELS = 65535
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,7 @@ class Frame:
     image_wanted: bool = True
 
     def kept(self) -> Frame:
-        """Give what is to be kept of it for its result."""
+        """Return what is to be kept of it for its result."""
         if self.image_wanted:
             return self
         # One pixel for all of them.
@@ -82,5 +83,22 @@ class SegmentationResult:
 
 
 def label_of(object_id: int) -> int:
-    """Give the label of an object: its id, counted from 1 again after 65,535."""
-    return (object_id - 1) % _MOST_LABELS + 1
+    """Return the label of an object: its id, counted from 1 again after 65,535."""
+    return (object_id - 1) % _MAX_LABELS + 1
+
+
+class Segmenter(Protocol):
+    """What is driven: `MotionSegmenter`, or anything else that answers each frame in order."""
+
+    def push(self, frame: Frame) -> Sequence[SegmentationResult]:
+        """Take the next frame; return the results that it completes."""
+
+    def flush(self) -> Sequence[SegmentationResult]:
+        """Return the results of the frames that still wait for later ones."""
+
+
+def segment(frames: Iterable[Frame], segmenter: Segmenter) -> Iterator[SegmentationResult]:
+    """Yield one result for every frame, in order."""
+    for frame in frames:
+        yield from segmenter.push(frame)
+    yield from segmenter.flush()

@@ -28,7 +28,7 @@ _MAD_TO_SIGMA = 1.4826
 
 @functools.lru_cache(maxsize=8)
 def pixel_grid(shape: tuple[int, int], step: int = 1) -> npt.NDArray[np.float32]:
-    """Give the coordinates (x, y) of every `step`-th pixel, hxwx2, not to be written to."""
+    """Return the coordinates (x, y) of every `step`-th pixel, hxwx2, not to be written to."""
     start = step // 2
     y, x = np.mgrid[start : shape[0] : step, start : shape[1] : step]
     grid = np.stack([x, y], axis=-1).astype(np.float32)
@@ -37,7 +37,7 @@ def pixel_grid(shape: tuple[int, int], step: int = 1) -> npt.NDArray[np.float32]
 
 
 def lengths(x: Map, y: Map) -> Map:
-    """Give the lengths of the vectors (x, y).
+    """Return the lengths of the vectors (x, y).
 
     The same vectors always have the same lengths. Those of cv2.magnitude differ in the last bit
     with where an array happens to lie in memory.
@@ -47,18 +47,18 @@ def lengths(x: Map, y: Map) -> Map:
 
 
 def upper_median(values: npt.NDArray[np.floating[Any]]) -> float:
-    """Give the upper median of values in one row; NumPy's own takes four times as long for few."""
+    """Return the upper median of values in one row; NumPy's takes four times as long for few."""
     middle = len(values) // 2
     return float(np.partition(values, middle)[middle])
 
 
 def translation(x: float, y: float) -> Matrix:
-    """Give the transform that moves pixels by (x, y)."""
+    """Return the transform that moves pixels by (x, y)."""
     return np.array([[1.0, 0.0, x], [0.0, 1.0, y], [0.0, 0.0, 1.0]])
 
 
 def scaling(x: float, y: float) -> Matrix:
-    """Give the transform to the pixels of a picture that is so many times as wide and high."""
+    """Return the transform to the pixels of a picture that is so many times as wide and high."""
     # Pixel centres lie at whole numbers, so the scaled grid is shifted by half a pixel.
     return np.array([[x, 0.0, (x - 1) / 2], [0.0, y, (y - 1) / 2], [0.0, 0.0, 1.0]])
 
@@ -99,7 +99,7 @@ def fit_affine_flow(flow: Flow, weights: npt.NDArray[np.float32]) -> npt.NDArray
 
 
 def affine_flow(coefficients: npt.NDArray[np.float64], shape: tuple[int, int]) -> Flow:
-    """Give the flow, HxWx2, that `coefficients` of :func:`fit_affine_flow` describe."""
+    """Return the flow, HxWx2, that `coefficients` of :func:`fit_affine_flow` describe."""
     flow: Flow = cv2.transform(pixel_grid(shape), np.roll(coefficients, -1, axis=0).T)
     return flow
 
@@ -124,7 +124,7 @@ def fit_fundamental_matrix(flow: Flow, weights: npt.NDArray[np.float32]) -> Matr
 
 
 def sampson_distance(flow: Flow, fundamental_matrix: Matrix) -> Map:
-    """Give every pixel's squared Sampson distance in pixels²: the paper's eq. 2.
+    """Return every pixel's squared Sampson distance in pixels²: the paper's eq. 2.
 
     The correspondence is p2 = p1 + flow(p1) (Hartley and Zisserman 2004, eq. 11.9).
     """

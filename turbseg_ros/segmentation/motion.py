@@ -30,7 +30,7 @@ _RAYLEIGH_MEDIAN = 1.1774
 # Estimates over a short and a long time agree within so many standard deviations of the short one.
 _AGREEMENT = 3.0
 # Flow can't be trusted to be steadier than this from frame to frame, in pixels a frame.
-_LEAST_NOISE = 0.015
+_MIN_NOISE = 0.015
 # No turbulence tilts a picture by so many pixels: the camera moves past things near and far, too
 # fast for the flow. Below the second it stands still again.
 _BEYOND_TURBULENCE = 2.0
@@ -124,7 +124,7 @@ def _estimate(
     motion_map = geometry.lengths(*cv2.split(velocity))
     unit = _robust_deviation((_sample(motion_map) / _sample(uncertainty))[_sample(visible)])
     uncertainty = np.where(visible, uncertainty, np.float32(1.0))
-    noise = np.maximum(np.float32(unit) * uncertainty, np.float32(_LEAST_NOISE))
+    noise = np.maximum(np.float32(unit) * uncertainty, np.float32(_MIN_NOISE))
     return MotionEstimate(
         velocity=velocity,
         motion_map=motion_map,
@@ -136,7 +136,7 @@ def _estimate(
 
 
 def agree(motion: MotionEstimate, other: MotionEstimate) -> Mask:
-    """Tell in which pixels two estimates give one velocity, within the first one's noise, HxW.
+    """Return in which pixels two estimates give one velocity, within the first one's noise, HxW.
 
     Where an object has passed within the longer time, flow finds nothing and means nothing.
     """
@@ -146,7 +146,7 @@ def agree(motion: MotionEstimate, other: MotionEstimate) -> Mask:
 
 
 def merged(motion: MotionEstimate, other: MotionEstimate, where: Mask) -> MotionEstimate:
-    """Give `motion` with the velocity, map and noise of `other` in some pixels, HxW."""
+    """Return `motion` with the velocity, map and noise of `other` in some pixels, HxW."""
     if not where.any():
         return motion
     return replace(
@@ -185,7 +185,7 @@ def sampson_motion(
     )
     motion_map[~visible] = 0.0
     residuals = _residuals(flows, weights)
-    noise = max(_robust_deviation(_sample(motion_map)[_sample(visible)]), _LEAST_NOISE)
+    noise = max(_robust_deviation(_sample(motion_map)[_sample(visible)]), _MIN_NOISE)
     return MotionEstimate(
         velocity=optical_flow.slope_flow(residuals, weights),
         motion_map=motion_map,
@@ -249,7 +249,7 @@ def _less_ego_motion(flow: Flow, weights: Map) -> Flow:
 
 
 def _sample(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Give every n-th row and column of a map, enough of them for its median."""
+    """Return every n-th row and column of a map, enough of them for its median."""
     step = max(1, int(np.sqrt(values.shape[0] * values.shape[1] / _SAMPLES)))
     return values[::step, ::step]
 

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from turbseg_ros.parameters import Parameters
 from turbseg_ros.segmentation import region_growing
 from turbseg_ros.segmentation.areas import SMEAR, MovingArea, moving_areas
+from turbseg_ros.segmentation.cropped_mask import Box, convex_hull, union_mask
 from turbseg_ros.segmentation.flow import Flow
 from turbseg_ros.segmentation.geometry import translation
 from turbseg_ros.segmentation.motion import (
@@ -24,9 +25,8 @@ from turbseg_ros.segmentation.motion import (
     slope_velocity,
     unchecked_motions,
 )
-from turbseg_ros.segmentation.outline import Box, convex_hull, painted
 from turbseg_ros.segmentation.region_growing import Region
-from turbseg_ros.segmentation.stabilization import visible
+from turbseg_ros.segmentation.registration import visible
 from turbseg_ros.segmentation.window import Neighbourhood, Resolution
 
 Mask = npt.NDArray[np.bool_]
@@ -36,7 +36,7 @@ Matrix = npt.NDArray[np.float64]
 # Flow within this many pixels of another frame's border follows the border, not the scene.
 _BORDER = 4.0
 # Smallest region, in pixels at processing resolution.
-_SMALLEST_REGION = 12
+_MIN_REGION = 12
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Moving:
 
     def where(self, objects: Mask) -> Moving:
         """Leave out the areas that hold none of the objects, HxW at detail resolution."""
-        areas = [area for area in self.areas if area.mask.common_area(objects)]
+        areas = [area for area in self.areas if area.search_mask.intersection_area(objects)]
         return replace(self, areas=areas)
 
 
@@ -97,9 +97,9 @@ def what_moves(
     for motion in motions[1:]:
         shape = short.motion_map.shape
         hulls = [convex_hull([region.outline]) for region in regions]
-        taken = painted([hull.widened(SMEAR, shape) for hull in hulls], shape)
+        taken = union_mask([hull.dilated(SMEAR, shape) for hull in hulls], shape)
         regions = _regions(motion, taken | ~agree(short, motion), parameters)
-        slow = painted([region.outline for region in regions], shape)
+        slow = union_mask([region.outline for region in regions], shape)
         moving = Moving(
             merged(moving.motion, motion, slow),
             [*moving.regions, *regions],
@@ -108,7 +108,9 @@ def what_moves(
     return moving
 
 
-def carried(moving: Moving, ego_motion: Matrix, resolution: Resolution, frames: int = 1) -> Moving:
+def propagated(
+    moving: Moving, ego_motion: Matrix, resolution: Resolution, frames: int = 1
+) -> Moving:
     """Carry what moved in a frame along to a later one: the camera's motion, and each one's own.
 
     :param ego_motion: takes the frame's processing pixels to the later one's.
@@ -144,7 +146,7 @@ def _own_motion(velocity: tuple[float, float], frames: int) -> Matrix:
 
 
 def _moved(way: Matrix, values: Map, box: Box | None = None) -> Map:
-    """Give what a transform makes of a map, within a box of the frame, all of it if None.
+    """Return what a transform makes of a map, within a box of the frame, all of it if None.
 
     Beyond its border the map goes on as there.
     """
@@ -163,12 +165,12 @@ def _regions(motion: MotionEstimate, taken: Mask, parameters: Parameters) -> lis
         "magnitude": region_growing.similar_magnitude,
     }[growing.similarity]
     return region_growing.grow_regions(
-        motion, strength, seed.size, growing.delta, similarity, _SMALLEST_REGION, taken
+        motion, strength, seed.size, growing.delta, similarity, _MIN_REGION, taken
     )
 
 
 def _interval_sets(widest: int) -> list[tuple[int, ...]]:
-    """Give the symmetric sets K of eq. 1 that the authors' code uses, up to the widest interval.
+    """Return the symmetric sets K of eq. 1 that the authors' code uses, up to the widest interval.
 
     They are ±2, ±3, ±4, ±1 with ±2, and ±2 with ±3; for B = 1 only ±1 is left.
     """

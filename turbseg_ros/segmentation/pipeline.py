@@ -13,24 +13,24 @@ import numpy.typing as npt
 
 from turbseg_ros.parameters import Parameters
 from turbseg_ros.segmentation.areas import MovingArea
-from turbseg_ros.segmentation.background import Scene, View, without_objects
+from turbseg_ros.segmentation.background import AlignedFrame, MaskedImage, with_objects_masked
+from turbseg_ros.segmentation.cropped_mask import EMPTY_MASK, CroppedMask, union_mask
 from turbseg_ros.segmentation.exposure import AS_IT_IS, Exposure, exposure_between
-from turbseg_ros.segmentation.finder import MotionFinder, Order
 from turbseg_ros.segmentation.flow import FlowBackend
+from turbseg_ros.segmentation.foreground import foreground_masks, object_crops
 from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResult, label_of
 from turbseg_ros.segmentation.geometry import scaling, translation
+from turbseg_ros.segmentation.kalman_tracker import KalmanTracker
+from turbseg_ros.segmentation.kmeans_ids import KMeansIds
 from turbseg_ros.segmentation.motion import (
     MotionEstimate,
     next_interval,
 )
-from turbseg_ros.segmentation.moving import Moving, carried
-from turbseg_ros.segmentation.outline import NOTHING, Outline, painted
-from turbseg_ros.segmentation.refinement import Refiner, refined_silhouettes
-from turbseg_ros.segmentation.silhouette import object_windows, silhouettes
+from turbseg_ros.segmentation.motion_worker import MotionJob, MotionWorker
+from turbseg_ros.segmentation.moving import Moving, propagated
+from turbseg_ros.segmentation.refinement import Refiner, refined_masks
 from turbseg_ros.segmentation.tone import ToneMap
-from turbseg_ros.segmentation.track import Candidate, IdentityKeeper, Observation
-from turbseg_ros.segmentation.tracking import ObjectTracker
-from turbseg_ros.segmentation.unification import KMeansUnifier
+from turbseg_ros.segmentation.track import Detection, Observation, Tracker
 from turbseg_ros.segmentation.window import FrameWindow, PreparedFrame, Resolution, prepare
 
 Mask = npt.NDArray[np.bool_]
@@ -40,7 +40,7 @@ ByteImage = npt.NDArray[np.uint8]
 # Flow is also taken so many times B back, for what is slow.
 _LONG = 3
 # Smallest outline, in detail pixels.
-_SMALLEST_OUTLINE = 12
+_MIN_OUTLINE = 12
 # Pixels by which objects are widened before what is left counts as background.
 _GUARD = 2
 # Frames segmented for each that comes while some have piled up.
@@ -67,7 +67,7 @@ class _Outlook:
     """Other frames as one sees them, by index: scenes without what is headed there, exposures."""
 
     frame: int
-    scenes: dict[int, Scene] = field(default_factory=dict)
+    scenes: dict[int, MaskedImage] = field(default_factory=dict)
     exposures: dict[int, Exposure] = field(default_factory=dict)
 
 
@@ -91,18 +91,18 @@ class MotionSegmenter:
         :param flow: computes the optical flow; without one, OpenCV's DIS does.
         """
         self._refiner = refiner
-        self._finder = MotionFinder(parameters.threads, flow)
+        self._motion_worker = MotionWorker(parameters.threads, flow)
         self._preparer = ThreadPoolExecutor(1, thread_name_prefix="preparation")
         self._tone = ToneMap()
         self.reconfigure(parameters)
 
     def reconfigure(self, parameters: Parameters) -> None:
         """Go on with other parameters and a new window; frames not yet answered are forgotten."""
-        identities = getattr(self, "_identities", None)
+        identities = getattr(self, "_tracker", None)
         self._parameters = parameters
-        self._identities = _identity_keeper(parameters)
+        self._tracker = _identity_keeper(parameters)
         if identities is not None:
-            self._identities.continue_ids(identities)
+            self._tracker.continue_ids(identities)
         self.reset()
 
     def reset(self) -> None:
@@ -117,13 +117,13 @@ class MotionSegmenter:
             key_step=p.outline.key_step,
         )
         self._tone.reset()
-        self._identities.reset()
+        self._tracker.reset()
         self._resolution: Resolution | None = None
         self._kind: tuple[object, ...] = ()
         self._coming: tuple[Frame, Future[PreparedFrame]] | None = None
         self._frames: dict[int, Frame] = {}
         self._pending: deque[_Pending] = deque()
-        self._finder.reset()
+        self._motion_worker.reset()
         self._moving: Moving | None = None
         self._outlook = _Outlook(0)
         self._in_haste = self._sparse = False
@@ -133,14 +133,14 @@ class MotionSegmenter:
     @property
     def device(self) -> str:
         """Where optical flow is computed: cpu or cuda."""
-        return self._finder.device
+        return self._motion_worker.device
 
     @property
     def look_ahead(self) -> int:
         """Frames that must follow a frame before its result is given."""
         if self._is_causal:
             return 0
-        return self._look_ahead + self._identities.delay + int(self._prepares_ahead)
+        return self._look_ahead + self._tracker.delay + int(self._prepares_ahead)
 
     @property
     def _is_causal(self) -> bool:
@@ -161,7 +161,7 @@ class MotionSegmenter:
         return 0 if self._is_causal else flow.interval + flow.every
 
     def push(self, frame: Frame, waiting: int = 0) -> list[SegmentationResult]:
-        """Take the next frame; give the results that are ready, of earlier frames mostly.
+        """Take the next frame; return the results that are ready, of earlier frames mostly.
 
         Its image is still read until the next call.
 
@@ -185,7 +185,7 @@ class MotionSegmenter:
         return results + self._advance(ended=False, at_most=at_most)
 
     def flush(self) -> list[SegmentationResult]:
-        """Give the results of all frames that have none yet."""
+        """Return the results of all frames that have none yet."""
         return self._take_in() + self._advance(ended=True)
 
     def _prepare(self, frame: Frame) -> None:
@@ -222,8 +222,8 @@ class MotionSegmenter:
         for centre in self._window.ready(ended, at_most):
             self._pending.append(self._segment(centre))
         if ended:
-            self._identities.settle()
-        delay = 0 if ended or self._is_causal else self._identities.delay
+            self._tracker.settle()
+        delay = 0 if ended or self._is_causal else self._tracker.delay
         results = []
         while len(self._pending) > delay:
             results.append(_result(self._pending.popleft()))
@@ -240,19 +240,19 @@ class MotionSegmenter:
         self._moving = moving
         self._measure_ahead(centre)
         if moving is None:
-            self._identities.update([], ego_motion, 0.0)
+            self._tracker.update([], ego_motion, 0.0)
             return _Pending(frame, self._resolution, None, [])
         coasted = self._in_haste and not moving.measured
         observations = (
-            self._identities.coast(ego_motion, self._detail_shape)
+            self._tracker.coast(ego_motion, self._detail_shape)
             if coasted
             else self._looked_for(centre, moving, ego_motion, frame.stamp)
         )
         shape = self._detail_shape
-        widened = [seen.candidate.outline.widened(_GUARD, shape) for seen in observations]
+        widened = [seen.detection.outline.dilated(_GUARD, shape) for seen in observations]
         self._window.mark_objects(centre, widened)
         # Where nothing is cut out now, nothing will be until motion is measured again.
-        self._moving = moving.where(painted(widened, shape))
+        self._moving = moving.where(union_mask(widened, shape))
         return _Pending(frame, self._resolution, moving.motion, observations, coasted)
 
     def _looked_for(
@@ -262,8 +262,8 @@ class MotionSegmenter:
         assert self._resolution is not None
         scale = self._resolution.detail_from_processing[0]
         tilt = 0.0 if np.isnan(moving.motion.tilt) else moving.motion.tilt * scale
-        candidates = self._outlines(centre, moving, ego_motion, tilt, stamp)
-        return self._identities.update(candidates, ego_motion, tilt)
+        detections = self._outlines(centre, moving, ego_motion, tilt, stamp)
+        return self._tracker.update(detections, ego_motion, tilt)
 
     @property
     def _detail_shape(self) -> tuple[int, int]:
@@ -271,7 +271,7 @@ class MotionSegmenter:
         return self._resolution.detail[1], self._resolution.detail[0]
 
     def _ego_motion(self, centre: int) -> Matrix:
-        """Give the transform of detail pixels from the frame before to this one."""
+        """Return the transform of detail pixels from the frame before to this one."""
         assert self._resolution is not None
         if centre == 0:
             return np.eye(3)
@@ -291,12 +291,12 @@ class MotionSegmenter:
         """Find what moves in a frame; None where there is nothing to compare it with."""
         measured = centre - self._lag
         if not self._window.shows_scene(centre):
-            self._finder.drop(measured)
+            self._motion_worker.drop(measured)
             return None
-        if self._is_due(centre) and centre not in self._finder:
+        if self._is_due(centre) and centre not in self._motion_worker:
             self._order(centre)
-        if measured in self._finder:
-            found = self._brought(self._finder.take(measured), measured, centre)
+        if measured in self._motion_worker:
+            found = self._brought(self._motion_worker.take(measured), measured, centre)
             return None if found is None else replace(found, measured=True)
         return self._brought(self._moving, centre - 1, centre)
 
@@ -309,11 +309,11 @@ class MotionSegmenter:
         return (self._parameters.flow.every + 1) // 2 if self._is_causal else 0
 
     def _is_due(self, centre: int) -> bool:
-        """Tell whether motion is to be measured in a frame: in turn, or as none can be carried."""
+        """Whether motion is to be measured in a frame: in turn, or as none can be carried."""
         if centre == self._due:
             return True
         can_be_carried = self._moving is not None and self._window[centre].continues
-        return not can_be_carried and not (self._lag and len(self._finder))
+        return not can_be_carried and not (self._lag and len(self._motion_worker))
 
     def _brought(self, moving: Moving | None, source: int, centre: int) -> Moving | None:
         """Bring what moves in one frame to a later one; None where the scene has changed."""
@@ -323,7 +323,7 @@ class MotionSegmenter:
         if source == centre:
             return moving
         ego_motion = self._window.transform(source, centre)
-        return carried(moving, ego_motion, self._resolution, centre - source)
+        return propagated(moving, ego_motion, self._resolution, centre - source)
 
     def _measure_ahead(self, centre: int) -> None:
         """Have motion measured in the next frame that is due, while outlines are drawn."""
@@ -331,14 +331,14 @@ class MotionSegmenter:
         if centre >= self._due:
             self._due = (centre // every + (_SPARSE if self._sparse else 1)) * every
         is_at_hand = self._due < self._window.count and self._due <= centre + every
-        if is_at_hand and self._due not in self._finder:
+        if is_at_hand and self._due not in self._motion_worker:
             self._order(self._due)
 
     def _order(self, centre: int) -> None:
         """Have what moves in a frame found beside what else is done."""
         assert self._resolution is not None
-        self._finder.order(
-            Order(
+        self._motion_worker.order(
+            MotionJob(
                 index=centre,
                 surroundings=self._window.neighbourhood(centre, self._intervals()),
                 near=2 * self._interval,
@@ -354,17 +354,17 @@ class MotionSegmenter:
         ego_motion: Matrix,
         tilt: float,
         stamp: int,
-    ) -> list[Candidate]:
+    ) -> list[Detection]:
         """Turn moving regions into outlines at detail resolution."""
         assert self._resolution is not None
-        area = painted([area.mask for area in moving.areas], self._detail_shape)
+        area = union_mask([area.search_mask for area in moving.areas], self._detail_shape)
         seen_to_move = area if moving.measured else np.zeros_like(area)
         if self._parameters.outline.method == "none":
             sizes = self._resolution.detail, self._resolution.processing
-            outlines = [region.outline.enlarged(*sizes) for region in moving.regions]
+            outlines = [region.outline.resized(*sizes) for region in moving.regions]
         else:
             resting = self._resting_objects(area, ego_motion)
-            windows = object_windows(
+            windows = object_crops(
                 self._window[centre].detail,
                 [*moving.areas, *resting],
                 self._views(centre, moving),
@@ -374,27 +374,27 @@ class MotionSegmenter:
             )
             threshold = self._parameters.outline.threshold
             outlines = (
-                silhouettes(windows, threshold)
+                foreground_masks(windows, threshold)
                 if self._refiner is None
-                else refined_silhouettes(windows, self._refiner.refine(windows))
+                else refined_masks(windows, self._refiner.refine(windows))
             )
         return [
-            _candidate(outline, seen_to_move, moving.motion, self._resolution)
+            _detection(outline, seen_to_move, moving.motion, self._resolution)
             for outline in outlines
-            if outline.area >= _SMALLEST_OUTLINE
+            if outline.area >= _MIN_OUTLINE
         ]
 
     def _resting_objects(self, moving: Mask, ego_motion: Matrix) -> list[MovingArea]:
-        """Give where known objects should be that no motion was found for."""
+        """Return where known objects should be that no motion was found for."""
         shape = self._detail_shape
         return [
-            MovingArea(expected.widened(_GUARD + 1, shape), NOTHING, NOTHING, (0.0, 0.0))
-            for expected in self._identities.expected_outlines(ego_motion, shape)
-            if expected.common_area(moving) < _RESTING * expected.area
+            MovingArea(expected.dilated(_GUARD + 1, shape), EMPTY_MASK, EMPTY_MASK, (0.0, 0.0))
+            for expected in self._tracker.expected_outlines(ego_motion, shape)
+            if expected.intersection_area(moving) < _RESTING * expected.area
         ]
 
-    def _views(self, centre: int, moving: Moving) -> list[View]:
-        """Give the scene at other times; in frames to come, objects are where they are headed.
+    def _views(self, centre: int, moving: Moving) -> list[AlignedFrame]:
+        """Return the scene at other times; in frames to come, objects are where they are headed.
 
         Exposures, and what is yet to come, are as they were when motion was measured last.
         """
@@ -414,21 +414,23 @@ class MotionSegmenter:
             if not window[index].objects_known:
                 if index not in outlook.scenes:
                     objects = self._headed(moving.areas, index - centre, to_image)
-                    outlook.scenes[index] = without_objects(scene, objects)
+                    outlook.scenes[index] = with_objects_masked(scene, objects)
                 scene = outlook.scenes[index]
-            views.append(View(scene, to_image, outlook.exposures[index].then(since)))
+            views.append(AlignedFrame(scene, to_image, outlook.exposures[index].then(since)))
         return views
 
     def _exposure(self, source: int, target: int, to_source: Matrix) -> Exposure:
-        """Give what takes the grey values of one frame to those of another."""
+        """Return what takes the grey values of one frame to those of another."""
         if source == target:
             return AS_IT_IS
         return exposure_between(self._window[source].grey, self._window[target].grey, to_source)
 
-    def _headed(self, areas: Sequence[MovingArea], frames: int, to_image: Matrix) -> list[Outline]:
-        """Give the cores of moving areas so many frames on, in that frame's pixels."""
+    def _headed(
+        self, areas: Sequence[MovingArea], frames: int, to_image: Matrix
+    ) -> list[CroppedMask]:
+        """Return the cores of moving areas so many frames on, in that frame's pixels."""
         return [
-            area.core.resampled(
+            area.probable.resampled(
                 to_image @ translation(area.velocity[0] * frames, area.velocity[1] * frames),
                 self._detail_shape,
                 cv2.INTER_NEAREST,
@@ -441,11 +443,11 @@ def _kind_of(frame: Frame) -> tuple[object, ...]:
     return frame.image.shape, frame.image.dtype
 
 
-def _identity_keeper(parameters: Parameters) -> IdentityKeeper:
+def _identity_keeper(parameters: Parameters) -> Tracker:
     tracking = parameters.tracking
     if tracking.mode == "kmeans":
-        return KMeansUnifier(slots=parameters.max_objects)
-    return ObjectTracker(
+        return KMeansIds(slots=parameters.max_objects)
+    return KalmanTracker(
         confirmation=tracking.confirmation,
         travel=tracking.travel,
         patience=tracking.patience,
@@ -454,9 +456,9 @@ def _identity_keeper(parameters: Parameters) -> IdentityKeeper:
     )
 
 
-def _candidate(
-    outline: Outline, moving: Mask, motion: MotionEstimate, resolution: Resolution
-) -> Candidate:
+def _detection(
+    outline: CroppedMask, moving: Mask, motion: MotionEstimate, resolution: Resolution
+) -> Detection:
     """Describe an outline: its velocity is the median over its pixels."""
     y, x = np.nonzero(outline.mask)
     scale_x, scale_y = resolution.detail_from_processing
@@ -464,7 +466,7 @@ def _candidate(
     column = np.minimum(((x + outline.box.x0) / scale_x).astype(int), width - 1)
     row = np.minimum(((y + outline.box.y0) / scale_y).astype(int), height - 1)
     vx, vy = np.median(motion.velocity[row, column], axis=0)
-    return Candidate(
+    return Detection(
         box=outline.box,
         mask=outline.mask,
         velocity=(float(vx) * scale_x, float(vy) * scale_y),
@@ -480,12 +482,12 @@ def _result(pending: _Pending) -> SegmentationResult:
     for observation in pending.observations:
         if not observation.track.confirmed:
             continue
-        found = _at_input_resolution(observation.candidate, pending.resolution)
+        found = _at_input_resolution(observation.detection, pending.resolution)
         there = labels[found.box.slices]
         mask = found.mask & (there == 0)
         if mask.any():
             there[mask] = label_of(observation.track.id)
-            objects.append(_moving_object(observation, Outline(found.box, mask), scale))
+            objects.append(_moving_object(observation, CroppedMask(found.box, mask), scale))
     processing_scale = width / pending.resolution.processing[0]
     motion = pending.motion
     return SegmentationResult(
@@ -503,16 +505,16 @@ def _result(pending: _Pending) -> SegmentationResult:
     )
 
 
-def _at_input_resolution(candidate: Candidate, resolution: Resolution) -> Outline:
-    outline = candidate.outline
+def _at_input_resolution(detection: Detection, resolution: Resolution) -> CroppedMask:
+    outline = detection.outline
     if resolution.detail == resolution.input:
         return outline
     x, y = (there / here for there, here in zip(resolution.input, resolution.detail, strict=True))
     return outline.resampled(scaling(x, y), resolution.input[::-1], cv2.INTER_LINEAR)
 
 
-def _moving_object(observation: Observation, outline: Outline, scale: float) -> MovingObject:
-    box = Outline.of(outline.mask, outline.box.x0, outline.box.y0).box
+def _moving_object(observation: Observation, outline: CroppedMask, scale: float) -> MovingObject:
+    box = CroppedMask.of(outline.mask, outline.box.x0, outline.box.y0).box
     moments = cv2.moments(outline.mask.view(np.uint8), binaryImage=True)
     area = moments["m00"]
     vx, vy = observation.velocity

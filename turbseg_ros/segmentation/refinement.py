@@ -11,32 +11,30 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from turbseg_ros.segmentation.outline import Outline
-from turbseg_ros.segmentation.silhouette import ObjectWindow, opened, separated
+from turbseg_ros.segmentation.cropped_mask import CroppedMask
+from turbseg_ros.segmentation.foreground import ObjectCrop, opened, separated
 
 Map = npt.NDArray[np.float32]
 
 
 class Refiner(Protocol):
-    """Tells objects from background within windows."""
+    """Tells objects from background within crops."""
 
-    def refine(self, windows: Sequence[ObjectWindow]) -> list[Map]:
-        """Give for each window, hxw, the probability from 0 to 1 that a pixel is an object's."""
+    def refine(self, crops: Sequence[ObjectCrop]) -> list[Map]:
+        """Return for each crop, hxw, the probability from 0 to 1 that a pixel is an object's."""
 
 
-def refined_silhouettes(
-    windows: Sequence[ObjectWindow], probabilities: Sequence[Map]
-) -> list[Outline]:
-    """Cut out what is rather object than background; in a window, it is split by its gaps.
+def refined_masks(crops: Sequence[ObjectCrop], probabilities: Sequence[Map]) -> list[CroppedMask]:
+    """Cut out what is rather object than background; in a crop, it is split by its gaps.
 
-    :param probabilities: one map a window, hxw, as a `Refiner` gives them.
+    :param probabilities: one map a crop, hxw, as a `Refiner` gives them.
     """
     found = []
-    for window, probability in zip(windows, probabilities, strict=True):
+    for crop, probability in zip(crops, probabilities, strict=True):
         mask = opened(probability > 0.5)
-        if not window.area.core.any():
+        if not crop.area.probable.any():
             # Nothing was found to move: without this the outline would creep away over the scene.
-            mask &= window.area.mask
+            mask &= crop.area.search_mask
         parts = separated(mask)
-        found += [Outline.of(part, window.box.x0, window.box.y0) for part in parts]
+        found += [CroppedMask.of(part, crop.box.x0, crop.box.y0) for part in parts]
     return found

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from turbseg_ros.segmentation.cropped_mask import Box, CroppedMask
 from turbseg_ros.segmentation.motion import MotionEstimate
-from turbseg_ros.segmentation.outline import Box, Outline
 
 Map = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.bool_]
@@ -33,7 +33,7 @@ class Region:
     """Pixels grown from one seed, at processing resolution."""
 
     seed: Seed
-    outline: Outline
+    outline: CroppedMask
 
 
 # Given the motion, a seed and the pixels still free, tells which pixels may join the seed.
@@ -112,7 +112,7 @@ def grow_regions(
 def _seeds(
     motion: MotionEstimate, strength: Map, occupancy: npt.NDArray[np.uint8], size: int
 ) -> Iterator[Seed]:
-    """Give the strongest window that no region has reached yet, until none is left."""
+    """Return the strongest window that no region has reached yet, until none is left."""
     remaining = strength.copy()
     velocity = cv2.blur(motion.velocity, (size, size))
     reach = np.ones((size, size), np.uint8)
@@ -126,9 +126,9 @@ def _seeds(
         yield Seed(x, y, (vx, vy), peak)
 
 
-def _connected_to(seed: Seed, candidates: Mask) -> Outline:
+def _connected_to(seed: Seed, candidates: Mask) -> CroppedMask:
     filled = candidates.view(np.uint8)
     filled[seed.y, seed.x] = 1
     _, _, _, rectangle = cv2.floodFill(filled, None, (seed.x, seed.y), 2, flags=4)
     box = Box.of_rectangle(rectangle)
-    return Outline(box, filled[box.slices] == 2)
+    return CroppedMask(box, filled[box.slices] == 2)

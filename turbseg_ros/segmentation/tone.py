@@ -12,9 +12,9 @@ _LOW_PERCENTILE, _HIGH_PERCENTILE = 0.5, 99.5
 # Room left beyond the percentiles, as a fraction of their distance, so that little saturates.
 _HEADROOM = 0.25
 # Beyond a quarter of what float32 holds, the difference of two values overflows.
-_LARGEST = float(np.finfo(np.float32).max) / 4
+_MAX_VALUE = float(np.finfo(np.float32).max) / 4
 # The smallest range, and that as a fraction of the values: float32 resolves no less.
-_LEAST_RANGE, _RESOLUTION = 1e-30, 1e-6
+_MIN_RANGE, _RESOLUTION = 1e-30, 1e-6
 # A range so many times as wide as what the picture fills leaves it too few grey values.
 _TOO_WIDE = 16.0
 # Share of the range that follows the newest frame: a step in exposure is taken up in a second or
@@ -34,7 +34,7 @@ class ToneMap:
         self._range = None
 
     def __call__(self, image: Image) -> npt.NDArray[np.uint8]:
-        """Give the 8-bit picture of an image, same shape.
+        """Return the 8-bit picture of an image, same shape.
 
         NaN and infinities count as the darkest grey.
         """
@@ -43,13 +43,13 @@ class ToneMap:
         step = max(1, int(np.sqrt(image.shape[0] * image.shape[1] / _SAMPLES)))
         samples = image[::step, ::step]
         finite = samples[np.isfinite(samples)].astype(np.float64)
-        low, high = self._follow(finite.clip(-_LARGEST, _LARGEST))
+        low, high = self._follow(finite.clip(-_MAX_VALUE, _MAX_VALUE))
         values = image.astype(np.float32)
         if image.dtype.kind == "f":
             values = np.nan_to_num(values, nan=low, posinf=low, neginf=low)
         # Before the difference, which may overflow.
         values = np.clip(values, np.float32(low), np.float32(high))
-        least = max(_LEAST_RANGE, _RESOLUTION * max(abs(low), abs(high)))
+        least = max(_MIN_RANGE, _RESOLUTION * max(abs(low), abs(high)))
         return cv2.convertScaleAbs((values - np.float32(low)) * (255.0 / max(high - low, least)))
 
     def _follow(self, samples: npt.NDArray[np.float64]) -> tuple[float, float]:
@@ -57,7 +57,7 @@ class ToneMap:
             return self._range or (0.0, 1.0)
         low, high = (float(v) for v in np.percentile(samples, [_LOW_PERCENTILE, _HIGH_PERCENTILE]))
         room = _HEADROOM * (high - low)
-        wanted = (max(low - room, -_LARGEST), min(high + room, _LARGEST))
+        wanted = (max(low - room, -_MAX_VALUE), min(high + room, _MAX_VALUE))
         old = self._range
         if old is None or low > old[1] or high < old[0] or _crushes(old, high - low):
             # Nothing seen so far tells anything of this picture.

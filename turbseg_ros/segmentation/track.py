@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from turbseg_ros.segmentation.cropped_mask import Box, CroppedMask
 from turbseg_ros.segmentation.geometry import translation
-from turbseg_ros.segmentation.outline import Box, Outline
 
 Mask = npt.NDArray[np.bool_]
 Matrix = npt.NDArray[np.float64]
@@ -24,7 +24,7 @@ Point = npt.NDArray[np.float64]
 _TRAIL_LENGTH = 60
 # Share of the way its flow claims that an object must really have come, or it ends: flow bleeds
 # past an object's edge, and what sways or ripples gets nowhere.
-_LEAST_HONESTY = 0.25
+_MIN_HONESTY = 0.25
 # Frames over which an object's way is compared with what it claims.
 _HONESTY_SPAN = 24
 SHAPE_SPAN = 12
@@ -32,7 +32,7 @@ SHAPE_SPAN = 12
 
 
 @dataclass(frozen=True)
-class Candidate:
+class Detection:
     """A silhouette that may be an object: hxw mask within its box, and how it moves.
 
     `velocity` is in pixels a frame against the scene; `moving` tells whether motion was found in
@@ -45,9 +45,9 @@ class Candidate:
     moving: bool
 
     @property
-    def outline(self) -> Outline:
+    def outline(self) -> CroppedMask:
         """Where it is."""
-        return Outline(self.box, self.mask)
+        return CroppedMask(self.box, self.mask)
 
     @property
     def area(self) -> int:
@@ -66,7 +66,7 @@ class Candidate:
 class Track:
     """One object through time."""
 
-    candidate: Candidate
+    detection: Detection
     kalman: cv2.KalmanFilter
     birthplace: Point
     id: int = 0
@@ -80,12 +80,12 @@ class Track:
     trail: list[Point] = field(default_factory=list)
 
     @classmethod
-    def started(cls, candidate: Candidate, tilt: float) -> Track:
-        """Begin a track where a candidate was seen.
+    def started(cls, detection: Detection, tilt: float) -> Track:
+        """Begin a track where a detection was seen.
 
         :param tilt: rms turbulent motion an axis in pixels.
         """
-        return cls(candidate, _kalman_at(candidate, tilt), candidate.centroid)
+        return cls(detection, _kalman_at(detection, tilt), detection.centroid)
 
     @property
     def position(self) -> Point:
@@ -96,10 +96,10 @@ class Track:
     @property
     def size(self) -> float:
         """Diagonal of the box around it."""
-        return float(np.hypot(*self.candidate.box.shape))
+        return float(np.hypot(*self.detection.box.shape))
 
     def keeps_shape(self, frames: int, least: float, known: int = 1) -> bool:
-        """Tell whether its masks of the last frames were alike: at least so much IoU a frame.
+        """Whether its masks of the last frames were alike: at least so much IoU a frame.
 
         It does while fewer than `known` were compared.
         """
@@ -107,12 +107,12 @@ class Track:
         return len(recent) < known or float(np.mean(recent)) >= least
 
     def gets_nowhere(self) -> bool:
-        """Tell whether, for a good while, it has come a small part of the way that it claims."""
+        """Return whether, for a good while, it has come a small part of the way that it claims."""
         claimed = sum(self.claims[-_HONESTY_SPAN:])
         if len(self.trail) < _HONESTY_SPAN or claimed < 0.5 * self.size:
             return False
         come = float(np.linalg.norm(self.trail[-1] - self.trail[-_HONESTY_SPAN]))
-        return come < _LEAST_HONESTY * claimed
+        return come < _MIN_HONESTY * claimed
 
     @property
     def velocity(self) -> tuple[float, float]:
@@ -122,8 +122,8 @@ class Track:
 
     @property
     def _expected_box(self) -> Box:
-        dx, dy = np.rint(self.position - self.candidate.centroid).astype(int)
-        return self.candidate.box.moved(int(dx), int(dy))
+        dx, dy = np.rint(self.position - self.detection.centroid).astype(int)
+        return self.detection.box.moved(int(dx), int(dy))
 
     def carry(self, ego_motion: Matrix) -> None:
         """Take its state into the next frame: by the ego-motion, then by its velocity."""
@@ -136,19 +136,19 @@ class Track:
         self.birthplace = linear @ self.birthplace + ego_motion[:2, 2]
         self.trail = [linear @ point + ego_motion[:2, 2] for point in self.trail]
 
-    def correct(self, candidate: Candidate) -> None:
-        """Take the candidate that stands for it in this frame."""
-        common = self.common_area(candidate)
-        union = self.candidate.area + candidate.area - common
+    def correct(self, detection: Detection) -> None:
+        """Take the detection that stands for it in this frame."""
+        common = self.intersection_area(detection)
+        union = self.detection.area + detection.area - common
         self.likeness = [*self.likeness, common / max(union, 1)][-SHAPE_SPAN:]
-        self.kalman.correct(candidate.centroid.reshape(2, 1))
-        self.candidate = candidate
+        self.kalman.correct(detection.centroid.reshape(2, 1))
+        self.detection = detection
         self.hits += 1
-        self.claims = [*self.claims, float(np.hypot(*candidate.velocity))][-_TRAIL_LENGTH:]
-        self.still = 0 if candidate.moving else self.still + 1
+        self.claims = [*self.claims, float(np.hypot(*detection.velocity))][-_TRAIL_LENGTH:]
+        self.still = 0 if detection.moving else self.still + 1
 
-    def coast(self, ego_motion: Matrix, shape: tuple[int, int]) -> Candidate:
-        """Take it into the next frame, of some shape, where nobody looks for it; give where it is.
+    def coast(self, ego_motion: Matrix, shape: tuple[int, int]) -> Detection:
+        """Take it into the next frame, where nobody looks for it; return where it is.
 
         If it was found when it was last looked for, it is taken to be as alike, and to claim as
         much, as then.
@@ -162,47 +162,47 @@ class Track:
             self.claims = [*self.claims, *self.claims[-1:]][-_TRAIL_LENGTH:]
         return expected
 
-    def common_area(self, candidate: Candidate) -> int:
-        """Count the candidate's pixels that lie where its mask is expected now."""
-        expected, found = self._expected_box, candidate.box
-        common = expected.common(found)
+    def intersection_area(self, detection: Detection) -> int:
+        """Count the detection's pixels that lie where its mask is expected now."""
+        expected, found = self._expected_box, detection.box
+        common = expected.intersection(found)
         if common is None:
             return 0
-        there = self.candidate.mask[common.moved(-expected.x0, -expected.y0).slices]
-        here = candidate.mask[common.moved(-found.x0, -found.y0).slices]
+        there = self.detection.mask[common.moved(-expected.x0, -expected.y0).slices]
+        here = detection.mask[common.moved(-found.x0, -found.y0).slices]
         return int(np.count_nonzero(there & here))
 
     def distance_to_expected(self, box: Box) -> npt.NDArray[np.float32]:
-        """Give the distance of each pixel in a box to where its mask is expected, hxw."""
+        """Return the distance of each pixel in a box to where its mask is expected, hxw."""
         expected = self._expected_box
         free = np.ones(box.shape, np.uint8)
-        common = expected.common(box)
+        common = expected.intersection(box)
         if common is not None:
-            there = self.candidate.mask[common.moved(-expected.x0, -expected.y0).slices]
+            there = self.detection.mask[common.moved(-expected.x0, -expected.y0).slices]
             free[common.moved(-box.x0, -box.y0).slices] = ~there
         distance: npt.NDArray[np.float32] = cv2.distanceTransform(free, cv2.DIST_L2, 3)
         return distance
 
-    def expected(self, ego_motion: Matrix, shape: tuple[int, int]) -> Candidate:
-        """Give it as it should be in the coming frame of some shape.
+    def expected(self, ego_motion: Matrix, shape: tuple[int, int]) -> Detection:
+        """Return it as it should be in the coming frame of some shape.
 
         :param ego_motion: takes the last frame's pixels to the coming one's.
         """
         # The position has been carried along since the mask was last seen.
-        x, y = self.position - self.candidate.centroid + np.asarray(self.velocity)
+        x, y = self.position - self.detection.centroid + np.asarray(self.velocity)
         way = ego_motion @ translation(x, y)
-        outline = self.candidate.outline.resampled(way, shape, cv2.INTER_NEAREST)
-        return Candidate(outline.box, outline.mask, self.velocity, moving=False)
+        outline = self.detection.outline.resampled(way, shape, cv2.INTER_NEAREST)
+        return Detection(outline.box, outline.mask, self.velocity, moving=False)
 
-    def observed(self, candidate: Candidate) -> Observation:
+    def observed(self, detection: Detection) -> Observation:
         """Remember where it is now, and give what is known of it in this frame.
 
-        :param candidate: what stands for it there.
+        :param detection: what stands for it there.
         """
         self.trail = [*self.trail, self.position][-_TRAIL_LENGTH:]
         return Observation(
             track=self,
-            candidate=candidate,
+            detection=detection,
             velocity=self.velocity,
             trail=tuple((float(x), float(y)) for x, y in self.trail),
         )
@@ -213,12 +213,12 @@ class Observation:
     """A track seen in one frame; `track` may become confirmed only later."""
 
     track: Track
-    candidate: Candidate
+    detection: Detection
     velocity: tuple[float, float]
     trail: tuple[tuple[float, float], ...]
 
 
-class IdentityKeeper(Protocol):
+class Tracker(Protocol):
     """Gives the objects of one frame the identities they had in others."""
 
     @property
@@ -229,22 +229,22 @@ class IdentityKeeper(Protocol):
     def next_id(self) -> int:
         """The id that the next object will get."""
 
-    def continue_ids(self, other: IdentityKeeper) -> None:
+    def continue_ids(self, other: Tracker) -> None:
         """Go on counting where another one stands."""
 
     def reset(self) -> None:
         """End all tracks; ids go on."""
 
-    def expected_outlines(self, ego_motion: Matrix, shape: tuple[int, int]) -> list[Outline]:
-        """Give where each object should be in the coming frame of some shape.
+    def expected_outlines(self, ego_motion: Matrix, shape: tuple[int, int]) -> list[CroppedMask]:
+        """Return where each object should be in the coming frame of some shape.
 
         :param ego_motion: takes the last frame's pixels to the coming one's.
         """
 
     def update(
-        self, candidates: Sequence[Candidate], ego_motion: Matrix, tilt: float
+        self, detections: Sequence[Detection], ego_motion: Matrix, tilt: float
     ) -> list[Observation]:
-        """Give an observation for each candidate that stands for a track.
+        """Return an observation for each detection that stands for a track.
 
         :param ego_motion: takes the last frame's pixels to this one's.
         :param tilt: rms turbulent motion an axis in pixels.
@@ -260,21 +260,21 @@ class IdentityKeeper(Protocol):
         """Decide what is open: no frame follows."""
 
 
-def divided_among(candidate: Candidate, tracks: Sequence[Track]) -> list[Candidate]:
-    """Divide a candidate's pixels among the tracks that are expected in it, by distance."""
-    away = np.stack([track.distance_to_expected(candidate.box) for track in tracks])
+def divided_among(detection: Detection, tracks: Sequence[Track]) -> list[Detection]:
+    """Divide a detection's pixels among the tracks that are expected in it, by distance."""
+    away = np.stack([track.distance_to_expected(detection.box) for track in tracks])
     nearest = away.argmin(axis=0)
     parts = []
     for index, track in enumerate(tracks):
-        mask = candidate.mask & (nearest == index)
+        mask = detection.mask & (nearest == index)
         if mask.any():
-            part = Outline.of(mask, candidate.box.x0, candidate.box.y0)
-            parts.append(Candidate(part.box, part.mask, track.velocity, candidate.moving))
+            part = CroppedMask.of(mask, detection.box.x0, detection.box.y0)
+            parts.append(Detection(part.box, part.mask, track.velocity, detection.moving))
     return parts
 
 
-def joined(parts: Sequence[Candidate]) -> Candidate:
-    """Make one candidate of several; the largest one's velocity is the whole's."""
+def joined(parts: Sequence[Detection]) -> Detection:
+    """Make one detection of several; the largest one's velocity is the whole's."""
     if len(parts) == 1:
         return parts[0]
     box = Box(
@@ -287,20 +287,20 @@ def joined(parts: Sequence[Candidate]) -> Candidate:
     for part in parts:
         mask[part.box.moved(-box.x0, -box.y0).slices] |= part.mask
     largest = max(parts, key=lambda part: part.area)
-    return Candidate(box, mask, largest.velocity, any(part.moving for part in parts))
+    return Detection(box, mask, largest.velocity, any(part.moving for part in parts))
 
 
-def _kalman_at(candidate: Candidate, tilt: float) -> cv2.KalmanFilter:
+def _kalman_at(detection: Detection, tilt: float) -> cv2.KalmanFilter:
     kalman = cv2.KalmanFilter(4, 2, 0, cv2.CV_64F)
     kalman.transitionMatrix = np.eye(4) + np.diag([1.0, 1.0], 2)
     kalman.measurementMatrix = np.eye(2, 4)
-    speed = float(np.hypot(*candidate.velocity))
+    speed = float(np.hypot(*detection.velocity))
     # Objects change their velocity by about a tenth within a few frames.
     acceleration = (0.05 + 0.05 * speed) ** 2
     kalman.processNoiseCov = np.diag([0.0, 0.0, acceleration, acceleration])
     wander = (1.0 + tilt) ** 2
     kalman.measurementNoiseCov = np.diag([wander, wander])
-    kalman.statePost = np.array([*candidate.centroid, *candidate.velocity]).reshape(4, 1)
+    kalman.statePost = np.array([*detection.centroid, *detection.velocity]).reshape(4, 1)
     doubt = (0.2 + 0.3 * speed) ** 2
     kalman.errorCovPost = np.diag([wander, wander, doubt, doubt])
     return kalman

@@ -11,18 +11,18 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from turbseg_ros.segmentation.background import Scene, scene_of, without_objects
+from turbseg_ros.segmentation.background import MaskedImage, unmasked, with_objects_masked
+from turbseg_ros.segmentation.cropped_mask import CroppedMask
 from turbseg_ros.segmentation.exposure import exposure_between
 from turbseg_ros.segmentation.geometry import scaling
-from turbseg_ros.segmentation.outline import Outline
-from turbseg_ros.segmentation.stabilization import align, register_affine
+from turbseg_ros.segmentation.registration import align, register_affine
 
 Mask = npt.NDArray[np.bool_]
 Matrix = npt.NDArray[np.float64]
 ByteImage = npt.NDArray[np.uint8]
 
 # Flow needs so many pixels each way.
-_SHORTEST_SIDE = 16
+_MIN_SIDE = 16
 # With fewer views of it, the median of the background is a matter of chance.
 _ENOUGH_KEY_FRAMES = 6
 
@@ -48,9 +48,9 @@ class Resolution:
         def scaled(pixels: float) -> tuple[int, int]:
             scale = np.sqrt(pixels / (width * height))
             # A strip is widened for flow to fit in, at the cost of its length.
-            longest = round(pixels) // _SHORTEST_SIDE
+            longest = round(pixels) // _MIN_SIDE
             x, y = (
-                min(max(round(side * scale), _SHORTEST_SIDE), max(longest, _SHORTEST_SIDE))
+                min(max(round(side * scale), _MIN_SIDE), max(longest, _MIN_SIDE))
                 for side in (width, height)
             )
             return x, y
@@ -70,7 +70,7 @@ class Resolution:
         )
 
     def to_detail(self, transform: Matrix) -> Matrix:
-        """Give a transform between processing images as one between detail images."""
+        """Return a transform between processing images as one between detail images."""
         scale = scaling(*self.detail_from_processing)
         result: Matrix = scale @ transform @ np.linalg.inv(scale)
         return result
@@ -88,7 +88,7 @@ class PreparedFrame:
 
     index: int
     grey: ByteImage
-    scene: Scene
+    scene: MaskedImage
     from_previous: Matrix
     continues: bool = True
     objects_known: bool = False
@@ -119,7 +119,7 @@ def prepare(
     return PreparedFrame(
         index=index,
         grey=grey,
-        scene=scene_of(detail),
+        scene=unmasked(detail),
         from_previous=from_previous,
         continues=motion is not None,
     )
@@ -138,7 +138,7 @@ class Neighbourhood:
     transforms: Mapping[int, Matrix]
 
     def aligned(self) -> dict[int, ByteImage]:
-        """Give the neighbours as the frame itself would show them, exposed as it is."""
+        """Return the neighbours as the frame itself would show them, exposed as it is."""
         return {k: self._aligned(grey, self.transforms[k]) for k, grey in self.neighbours.items()}
 
     def _aligned(self, neighbour: ByteImage, transform: Matrix) -> ByteImage:
@@ -205,15 +205,15 @@ class FrameWindow:
             yield self._next_centre - 1
             self._forget()
 
-    def mark_objects(self, index: int, objects: Iterable[Outline]) -> None:
+    def mark_objects(self, index: int, objects: Iterable[CroppedMask]) -> None:
         """Remember which pixels of a frame are objects, not background."""
         if index in self._frames:
             frame = self._frames[index]
-            scene = without_objects(frame.scene, objects)
+            scene = with_objects_masked(frame.scene, objects)
             self._frames[index] = replace(frame, scene=scene, objects_known=True)
 
     def shows_scene(self, index: int) -> bool:
-        """Tell whether a frame has anything in common with the one before or after it.
+        """Whether a frame has anything in common with the one before or after it.
 
         Noise, a covered lens or a torn frame has not.
         """
@@ -221,11 +221,11 @@ class FrameWindow:
         return self._frames[index].continues or (after is not None and after.continues)
 
     def goes_on(self, source: int, target: int) -> bool:
-        """Tell whether the scene of a frame goes on until a later one."""
+        """Whether the scene of a frame goes on until a later one."""
         return all(self._frames[k].continues for k in self._frames if source < k <= target)
 
     def follows_cut(self, prepared: PreparedFrame) -> bool:
-        """Tell whether a frame, not yet taken, goes on from a newest one that began a new scene.
+        """Whether a frame, not yet taken, goes on from a newest one that began a new scene.
 
         After a covered lens or a torn frame the old scene is there again; after a cut it isn't.
         """
@@ -238,11 +238,11 @@ class FrameWindow:
         )
 
     def _is_use(self, index: int) -> bool:
-        """Tell whether a frame is at hand and shows the scene."""
+        """Whether a frame is at hand and shows the scene."""
         return index in self._frames and self.shows_scene(index)
 
     def neighbourhood(self, centre: int, wanted: Sequence[int]) -> Neighbourhood:
-        """Give a frame with its neighbours at those of the wanted intervals that exist.
+        """Return a frame with its neighbours at those of the wanted intervals that exist.
 
         See `neighbours` for what stands in for the others.
         """
@@ -255,7 +255,7 @@ class FrameWindow:
         )
 
     def neighbours(self, centre: int, wanted: Sequence[int]) -> list[int]:
-        """Give the intervals to compare a frame over: the wanted ones that exist.
+        """Return the intervals to compare a frame over: the wanted ones that exist.
 
         What is missing on one side, at the ends of the stream, is taken from the other. With all
         on one side, others near are added, for then the frame's own tilt has to be told as well.
@@ -275,18 +275,18 @@ class FrameWindow:
         return sorted(there)
 
     def key_frames(self, centre: int) -> list[int]:
-        """Give the indices of the frames that show the scene at other times than `centre`."""
+        """Return the indices of the frames that show the scene at other times than `centre`."""
         others = sorted(k for k in self._frames if k != centre and self.shows_scene(k))
         keys = [k for k in others if k % self._key_step == 0]
         # Early on there are few: then every frame at hand counts.
         return keys if len(keys) >= _ENOUGH_KEY_FRAMES else others
 
     def transform(self, source: int, target: int) -> Matrix:
-        """Give the transform of processing pixels from frame `source` to frame `target`."""
+        """Return the transform of processing pixels from frame `source` to frame `target`."""
         return self.transforms_from(source)[target]
 
     def transforms_from(self, source: int) -> dict[int, Matrix]:
-        """Give the transforms of processing pixels from a frame to each of those at hand."""
+        """Return the transforms of processing pixels from a frame to each of those at hand."""
         indices = sorted(self._frames)
         here = indices.index(source)
         transforms = {source: np.eye(3)}
@@ -315,7 +315,7 @@ class FrameWindow:
 
 
 def _shrunk(image: ByteImage, size: tuple[int, int]) -> ByteImage:
-    """Give an image at a size (width, height) that is not larger; never the caller's own buffer.
+    """Return an image at a size (width, height) that is not larger; never the caller's own buffer.
 
     OpenCV averages over whole pixels many times as fast as over fractions of them.
     """
@@ -330,7 +330,7 @@ def _shrunk(image: ByteImage, size: tuple[int, int]) -> ByteImage:
 
 
 def _resized(image: ByteImage, size: tuple[int, int]) -> ByteImage:
-    """Give an image at a size (width, height)."""
+    """Return an image at a size (width, height)."""
     if (image.shape[1], image.shape[0]) == size:
         return image
     shrinks = size[0] < image.shape[1]

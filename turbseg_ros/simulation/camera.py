@@ -38,7 +38,7 @@ class CameraMotion:
     def trajectory(
         self, frames: int, centre: tuple[float, float], rng: np.random.Generator
     ) -> npt.NDArray[np.float64]:
-        """Give the maps from scene to image of every frame: affine matrices, float64 Nx2x3.
+        """Return the maps from scene to image of every frame: affine matrices, float64 Nx2x3.
 
         The picture rolls about `centre` (x, y). The first frame is where the scene was laid out,
         apart from shake.
@@ -87,13 +87,13 @@ class Sensor:
     column_noise: float = 0.0
 
     def pattern(self, width: int, rng: np.random.Generator) -> Field:
-        """Give the fixed pattern of one camera: float32 of `width`, shares of full scale."""
+        """Return the fixed pattern of one camera: float32 of `width`, shares of full scale."""
         return np.asarray(self.column_noise * rng.standard_normal(width), dtype=np.float32)
 
     def expose(
         self, radiance: Field, pattern: Field, rng: np.random.Generator
     ) -> npt.NDArray[Any]:
-        """Give the picture of a radiance (float32 HxWx3): uint8 or uint16, as `encoding` says.
+        """Return the picture of a radiance (float32 HxWx3): uint8 or uint16, as `encoding` says.
 
         Shot noise is the Poisson distribution's normal limit.
         """

@@ -114,7 +114,7 @@ class Backdrop:
     animations: Sequence[Animation] = ()
 
     def at(self, frame: int) -> Field:
-        """Give the painting at a frame, float32 HxWx3."""
+        """Return the painting at a frame, float32 HxWx3."""
         if not self.animations:
             return self.painting
         painting = self.painting.copy()
@@ -281,17 +281,17 @@ class Brush:
         colours += veil * (np.array(airlight, np.float32) - colours)
 
     def region(self, x0: float, y0: float, x1: float, y1: float) -> tuple[slice, slice]:
-        """Give the rows and columns of the finished painting that a rectangle covers."""
+        """Return the rows and columns of the finished painting that a rectangle covers."""
         columns = [self._column(x) for x in (x0, x1)]
         rows = [self._row(y) for y in (y0, y1)]
         return slice(*rows), slice(*columns)
 
     def finish(self) -> Field:
-        """Give the painting at scene resolution, float32 HxWx3, values 0 to 1."""
+        """Return the painting at scene resolution, float32 HxWx3, values 0 to 1."""
         return np.ascontiguousarray(self._reduced()[..., :3])
 
     def finish_layer(self) -> Layer:
-        """Give what was painted, with its coverage, premultiplied."""
+        """Return what was painted, with its coverage, premultiplied."""
         reduced = self._reduced()
         return Layer(np.ascontiguousarray(reduced[..., :3]), reduced[..., 3].copy())
 
@@ -316,7 +316,7 @@ class Brush:
         return min(max(round(y * self.unit) + self.extent.margin_y, 0), limit)
 
     def _fixed(self, points: Sequence[Point] | npt.NDArray[np.float64]) -> npt.NDArray[np.int32]:
-        """Give canvas coordinates of scene points, in sixteenths of a pixel."""
+        """Return canvas coordinates of scene points, in sixteenths of a pixel."""
         scene = np.array(points, dtype=np.float64) * self.unit
         margin = np.array([self.extent.margin_x, self.extent.margin_y])
         canvas = (scene + margin + 0.5) * _SUPERSAMPLING - 0.5

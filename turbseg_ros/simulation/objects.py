@@ -371,7 +371,7 @@ class Path:
     waypoints: tuple[tuple[float, float, float], ...]
 
     def positions(self, frames: int) -> npt.NDArray[np.float64]:
-        """Give the positions at frames 0 to `frames` - 1, float64 Nx2; held beyond the ends."""
+        """Return the positions at frames 0 to `frames` - 1, float64 Nx2; held beyond the ends."""
         table = np.asarray(self.waypoints, dtype=np.float64)
         if len(table) == 1:
             return np.repeat(table[:, 1:], frames, axis=0)
@@ -398,7 +398,7 @@ class Layer:
     coverage: npt.NDArray[np.float32]
 
     def over(self, below: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-        """Give the layer laid over a picture of the same size."""
+        """Return the layer laid over a picture of the same size."""
         return self.colour + below * (1 - self.coverage[..., None])
 
 
@@ -449,7 +449,7 @@ class Sprite:
         return PlacedSprite(int(left), int(top), layer, self._shadow(pose, to_image))
 
     def _to_scene(self, pose: Pose) -> Matrix:
-        """Give the 3x3 map from the shape's own frame to the scene."""
+        """Return the 3x3 map from the shape's own frame to the scene."""
         size = self._object.size
         c, s = size * math.cos(pose.pitch), size * math.sin(pose.pitch)
         flip = -1 if pose.mirrored else 1
@@ -460,7 +460,7 @@ class Sprite:
         return matrix
 
     def _relief(self, to_fine: Matrix, shape: tuple[int, ...]) -> npt.NDArray[np.float32]:
-        """Give the relative brightness of the body, which is fixed to it."""
+        """Return the relative brightness of the body, which is fixed to it."""
         unit = 1 / (len(self._texture) - 1)
         map_ = (to_fine @ np.diag((unit, unit, 1.0)))[:2]
         relief = cv2.warpAffine(
@@ -530,7 +530,7 @@ def _transformed(matrix: Matrix, points: npt.ArrayLike) -> npt.NDArray[np.float6
 
 
 def _paint_texture(rng: np.random.Generator) -> npt.NDArray[np.float32]:
-    """Give deviations of brightness over a body, square: reflections, dirt and seams."""
+    """Return deviations of brightness over a body, square: reflections, dirt and seams."""
     size = (128, 128)
     coarse = rng.standard_normal((12, 9)).astype(np.float32)
     middle = rng.standard_normal((32, 24)).astype(np.float32)

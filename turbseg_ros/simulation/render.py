@@ -119,7 +119,7 @@ class _Stage:
         ]
 
     def composite(self, index: int) -> _Composite:
-        """Give the scene as it stands at a frame."""
+        """Return the scene as it stands at a frame."""
         to_picture = self._to_frame[index] + np.array([[0, 0, _MARGIN], [0, 0, _MARGIN]])
         picture = self._project(self._backdrop.at(index), to_picture)
         outlines = []
@@ -161,7 +161,7 @@ class _Actor:
         return self._sprite.place(phase, Pose(float(x), float(y), pitch, backward), to_picture)
 
     def _heading(self, index: int) -> tuple[bool, float]:
-        """Tell whether it faces left, and its pitch: as it last moved."""
+        """Whether it faces left, and its pitch: as it last moved."""
         if self._velocities is None:
             return False, 0.0
         past = self._velocities[: index + 1]
@@ -178,7 +178,7 @@ class _Actor:
 
 
 def _extent(scene: Scene, to_frame: npt.NDArray[np.float64]) -> Extent:
-    """Give what the camera gets to see of the scene in the whole clip."""
+    """Return what the camera gets to see of the scene in the whole clip."""
     width, height = scene.width, scene.height
     corners = np.array([[0, width, width, 0], [0, 0, height, height], [1, 1, 1, 1]])
     moved = np.abs(to_frame @ corners - corners[:2]).max(axis=(0, 2))

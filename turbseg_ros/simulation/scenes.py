@@ -32,7 +32,7 @@ class Scene:
     thermal: bool = False
 
     def with_tilt(self, tilt_px: float) -> Scene:
-        """Give the same scene in stronger or weaker turbulence: rms tilt a axis in its pixels."""
+        """Return the scene in stronger or weaker turbulence: rms tilt an axis in its pixels."""
         return replace(self, turbulence=self.turbulence.with_tilt(tilt_px))
 
 
@@ -41,7 +41,7 @@ class UnknownSceneError(ValueError):
 
 
 def scene(name: str) -> Scene:
-    """Give the scene of that name.
+    """Return the scene of that name.
 
     :raises UnknownSceneError: when there is none.
     """

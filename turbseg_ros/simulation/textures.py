@@ -15,7 +15,7 @@ def fractal_noise(
     exponent: float = 1.0,
     stretch: tuple[float, float] = (1.0, 1.0),
 ) -> Field:
-    """Give noise whose amplitude falls as 1/f^exponent, as natural pictures' does.
+    """Return noise whose amplitude falls as 1/f^exponent, as natural pictures' does.
 
     float32 of `shape`, zero mean, unit variance, periodic; `stretch` draws it out along x and y.
     Reference: Field, "Relations between the statistics of natural images and the response

@@ -40,7 +40,7 @@ def fried_parameter(
     wavelength: float,
     wave: Literal["spherical", "plane"] = "spherical",
 ) -> float:
-    """Give Fried's r0 in metres for a structure constant that is the same along the path.
+    """Return Fried's r0 in metres for a structure constant that is the same along the path.
 
     `cn2` in m^(-2/3), `path_length` and `wavelength` in metres. Plane wave:
     (0.423 k² Cn² L)^(-3/5); spherical wave (an object at a finite range): the path weight
@@ -123,7 +123,7 @@ class Turbulence:
 
     @classmethod
     def typical(cls, tilt_px: float, image_width: int) -> Turbulence:
-        """Give turbulence of some strength, scaled as a long lens sees it.
+        """Return turbulence of some strength, scaled as a long lens sees it.
 
         Correlation over 1/36 of the image's width, as measured on a real clip of a compact
         camera at full zoom, drift and blur in proportion.
@@ -134,17 +134,17 @@ class Turbulence:
 
     @classmethod
     def from_optics(cls, optics: Optics) -> Turbulence:
-        """Give the turbulence that a camera sees through given air."""
+        """Return the turbulence that a camera sees through given air."""
         return cls(optics.tilt_px, optics.aperture_px, optics.blur_px)
 
     def with_tilt(self, tilt_px: float) -> Turbulence:
-        """Give the same air, stronger or weaker: the blur follows the tilt."""
+        """Return the same air, stronger or weaker: the blur follows the tilt."""
         ratio = tilt_px / self.tilt_px if self.tilt_px > 0 else 0.0
         return replace(self, tilt_px=tilt_px, blur_px=self.blur_px * ratio)
 
 
 def tilt_spectrum(wavenumber: npt.ArrayLike, aperture_px: float) -> npt.NDArray[np.float64]:
-    """Give P(k) of the Zernike tilt, up to a constant; k in radians a pixel, above 0."""
+    """Return P(k) of the Zernike tilt, up to a constant; k in radians a pixel, above 0."""
     k = np.asarray(wavenumber, dtype=np.float64)
     argument = k * aperture_px / 2
     filtered = k ** (-11 / 3) * (special.jv(2, argument) / argument) ** 2
@@ -152,7 +152,7 @@ def tilt_spectrum(wavenumber: npt.ArrayLike, aperture_px: float) -> npt.NDArray[
 
 
 def tilt_correlation(separation: float) -> tuple[float, float]:
-    """Give the theoretical (longitudinal, transverse) correlation of the tilt of two points.
+    """Return the theoretical (longitudinal, transverse) correlation of the tilt of two points.
 
     `separation` is the distance between them in apertures; longitudinal means of the components
     along the line that joins them. Unbounded outer scale.
@@ -203,7 +203,7 @@ class EddyField:
         self._modes = self._advance * self._modes + self._renewal * self._white_modes()
 
     def sample(self, transfer: npt.NDArray[np.complexfloating[Any, Any]]) -> Field:
-        """Give the field that `transfer` shapes from the modes: float32 of the image's shape.
+        """Return the field that `transfer` shapes from the modes: float32 of the image's shape.
 
         The real part of a field with modes of independent complex noise has half their power;
         `transfer` of unit total power therefore gives unit variance, the noise having power 2.
@@ -256,7 +256,7 @@ class TiltField:
         self._along_y = 1j * eddies.ky / k * amplitude - 1j * common
 
     def next(self) -> Field:
-        """Give the field of the next frame."""
+        """Return the field of the next frame."""
         self._eddies.step()
         x, y = self._eddies.sample(self._along_x), self._eddies.sample(self._along_y)
         return np.dstack((x, y))
@@ -279,7 +279,7 @@ class BlurField:
         self._transfer = (shape_factor / np.sqrt((shape_factor**2).sum())).astype(np.complex128)
 
     def next(self) -> Field:
-        """Give the map of the next frame."""
+        """Return the map of the next frame."""
         self._eddies.step()
         variation = self._turbulence.blur_variation * self._eddies.sample(self._transfer)
         return np.asarray(self._turbulence.blur_px * np.exp(variation), dtype=np.float32)
@@ -288,7 +288,7 @@ class BlurField:
 def warp(
     image: Image, tilt: Field, margin: int = 0, interpolation: int = cv2.INTER_CUBIC
 ) -> Image:
-    """Give the image as seen through the tilt: pixel p shows the image at p + tilt(p).
+    """Return the image as seen through the tilt: pixel p shows the image at p + tilt(p).
 
     Keeps the dtype and has the tilt's height and width; the image may be larger by `margin` on
     every side, which fills what the tilt draws in from outside; beyond it is reflected.

@@ -29,7 +29,7 @@ class ClipWarper:
         self._blurs = BlurField(shape, turbulence, blur_rng)
 
     def distort(self, image: Image, labels: Image | None) -> tuple[Image, Image | None]:
-        """Give the next frame and its truth as seen through the air, dtypes kept.
+        """Return the next frame and its truth as seen through the air, dtypes kept.
 
         `image` is HxW or HxWx3, uint8, uint16 or float32; `labels` HxW of integers, 0 the
         background.
@@ -48,7 +48,7 @@ class ClipWarper:
 
 
 def warp_labels(labels: Image, tilt: Field) -> Image:
-    """Give the labels as seen through the tilt: each where its mask covers half a pixel."""
+    """Return the labels as seen through the tilt: each where its mask covers half a pixel."""
     warped = np.zeros_like(labels)
     for value in np.unique(labels[labels != 0]):
         mask = (labels == value).astype(np.float32)

@@ -1,0 +1,136 @@
+from __future__ import annotations
+
+import itertools
+import json
+import sys
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from support.drawn_scene import DrawnScene
+from turbseg_ros.cli import benchmark as executable
+from turbseg_ros.evaluation.baselines import BackgroundSubtraction, TurbsegMethod
+from turbseg_ros.evaluation.benchmark import (
+    STAGES,
+    StageClock,
+    endless,
+    footprint,
+    measure,
+)
+from turbseg_ros.parameters import Parameters
+
+SMALL = Parameters().replace(
+    {"resolution.processing": 160, "resolution.detail": 160, "latency.warm_up": 0}
+)
+
+
+@dataclass(frozen=True)
+class Rendered:
+    image: np.ndarray
+
+
+def outer() -> int:
+    return inner() + inner()
+
+
+def inner() -> int:
+    return sum(range(50_000))
+
+
+def drawn_frames(count):
+    clip = list(DrawnScene().images(20))
+    return itertools.islice(endless(clip, (160, 96), rate_hz=30.0), count)
+
+
+def test_a_clip_goes_forward_and_backward_at_a_steady_rate():
+    clip = [np.full((4, 6), value, np.uint8) for value in (10, 20, 30)]
+    frames = list(itertools.islice(endless(clip, (6, 4), rate_hz=10.0), 6))
+    assert [int(frame.image[0, 0]) for frame in frames] == [10, 20, 30, 20, 10, 20]
+    assert {b.stamp - a.stamp for a, b in itertools.pairwise(frames)} == {100_000_000}
+
+
+@pytest.mark.parametrize("size", [(64, 48), (192, 96), (160, 160)])
+def test_a_clip_is_cut_to_another_shape_without_being_stretched(size):
+    ramp = np.add.outer(np.arange(96), np.arange(160)).astype(np.uint8)
+    frame = next(endless([ramp], size, rate_hz=30.0))
+    across, down = (
+        np.diff(frame.image.astype(int), axis=1),
+        np.diff(frame.image.astype(int), axis=0),
+    )
+    assert frame.image.shape == (size[1], size[0])
+    assert across.mean() == pytest.approx(down.mean(), rel=0.05)
+
+
+def test_the_clock_tells_a_function_from_those_it_calls():
+    name = __name__
+    clock = StageClock()
+    with clock.watching({"outer": f"{name}.outer", "inner": f"{name}.inner"}):
+        sys.modules[name].outer()
+    assert clock.seconds["inner"] > 4 * clock.seconds["outer"] > 0.0
+    sys.modules[name].outer()
+    assert set(clock.seconds) == {"outer", "inner"}
+
+
+def test_the_clock_passes_results_and_errors_on():
+    def failing() -> None:
+        raise ValueError("as it was")
+
+    clock = StageClock()
+    module = sys.modules[__name__]
+    with clock.watching({"inner": f"{__name__}.inner"}):
+        assert module.inner() == sum(range(50_000))
+    with pytest.raises(ValueError, match="as it was"):
+        clock._watched("failing", failing)()
+    assert clock.seconds["failing"] > 0.0
+
+
+def test_every_stage_is_seen_at_work():
+    methods = [TurbsegMethod("turbseg", SMALL), BackgroundSubtraction("mog2", stabilised=False)]
+    timing = measure(methods, drawn_frames(30), warm_up=4, size=(160, 96))
+    assert set(timing.stages) == set(STAGES)
+    assert set(timing.frames) == {"turbseg", "mog2"}
+    assert timing.ratio("turbseg") > timing.ratio("mog2") > 0.0
+    assert timing.processor_ratio("turbseg") > timing.processor_ratio("mog2") > 0.0
+    cost = timing.frames["turbseg"]
+    assert 0.0 < cost.p50 <= cost.p95 <= cost.p99
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="memory is told by /proc")
+def test_the_footprint_is_that_of_a_process_of_its_own():
+    needs = footprint(SMALL, drawn_frames(20))
+    assert 30.0 < needs.mebibytes < 400.0
+    assert 0.0 < needs.start_seconds < 60.0
+    assert 0.0 < needs.first_result_seconds < 60.0
+
+
+def test_the_executable_writes_what_it_prints(monkeypatch, tmp_path, capsys):
+    drawn = [Rendered(image) for image in DrawnScene().images(20)]
+    monkeypatch.setattr(executable, "render", lambda scene, seed: drawn)
+    monkeypatch.setattr(executable, "_WARM_UP", 3)
+    file = tmp_path / "new" / "figures.json"
+    arguments = ["--sizes", "160x96", "--frames", "2", "--baselines", "knn", "--json", str(file)]
+    assert executable.main(arguments) == 0
+    (case,) = json.loads(file.read_text())["cases"]
+    assert case["size"] == [160, 96]
+    assert set(case["ratios"]) == {"turbseg", "knn"}
+    printed = capsys.readouterr().out
+    assert f"{case['frames']['turbseg']['p50']:.1f}" in printed
+    assert "160x96, 2 objects, 2 frames" in printed
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["--sizes", "640"], ["--sizes", "8x8"], ["--baselines", "mog3"], ["--frames", "0"]],
+)
+def test_the_executable_refuses_what_makes_no_sense(arguments, capsys):
+    with pytest.raises(SystemExit) as ended:
+        executable.main(arguments)
+    assert ended.value.code == 2
+    assert arguments[1] in capsys.readouterr().err or "mog3" in arguments
+
+
+@pytest.mark.parametrize("count", ["-1", "17"])
+def test_the_executable_refuses_a_crowd(count, capsys):
+    assert executable.main(["--objects", count]) == 2
+    assert count in capsys.readouterr().err

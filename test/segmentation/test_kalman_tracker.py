@@ -1,0 +1,583 @@
+"""Ids that stay, for detections that are drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from support.drawn_scene import jaccard
+from turbseg_ros.segmentation.cropped_mask import Box
+from turbseg_ros.segmentation.kalman_tracker import KalmanTracker
+from turbseg_ros.segmentation.kmeans_ids import KMeansIds, kmeans_ids
+from turbseg_ros.segmentation.track import Detection, Observation
+
+STILL_CAMERA = np.eye(3)
+CONFIRMATION, PATIENCE, SLOTS = 4, 10, 3
+
+
+def tracker_of(**changes: float) -> KalmanTracker:
+    known = {"confirmation": CONFIRMATION, "travel": 1.0, "patience": PATIENCE, "slots": SLOTS}
+    return KalmanTracker(**{**known, **changes})
+
+
+def seen(
+    x: float,
+    y: float,
+    velocity: tuple[float, float] = (0.0, 0.0),
+    *,
+    width: int = 20,
+    height: int = 12,
+    moving: bool = True,
+) -> Detection:
+    """A rectangle whose upper left pixel is (x, y)."""
+    left, top = round(x), round(y)
+    box = Box(left, top, left + width, top + height)
+    return Detection(box, np.ones((height, width), bool), velocity, moving)
+
+
+def crossing(
+    frame: int, start: tuple[float, float], velocity: tuple[float, float], **shape: int
+) -> Detection:
+    """Where something that moves at constant velocity is seen in a frame."""
+    x, y = (p + frame * v for p, v in zip(start, velocity, strict=True))
+    return seen(x, y, velocity, **shape)
+
+
+def pan(x: float, y: float) -> np.ndarray:
+    return np.array([[1.0, 0.0, x], [0.0, 1.0, y], [0.0, 0.0, 1.0]])
+
+
+def update(
+    tracker: KalmanTracker,
+    detections: Sequence[Detection],
+    ego_motion: np.ndarray = STILL_CAMERA,
+    tilt: float = 0.1,
+) -> list[Observation]:
+    return tracker.update(detections, ego_motion, tilt)
+
+
+def only(observations: Sequence[Observation]) -> Observation:
+    (observation,) = observations
+    return observation
+
+
+def follow(
+    tracker: KalmanTracker,
+    frames: range,
+    start: tuple[float, float],
+    velocity: tuple[float, float],
+) -> Observation:
+    """Show the tracker one object in some frames; return its last observation."""
+    for frame in frames:
+        observation = only(update(tracker, [crossing(frame, start, velocity)]))
+    return observation
+
+
+def wait(tracker: KalmanTracker, frames: int) -> None:
+    for _ in range(frames):
+        assert update(tracker, []) == []
+
+
+def test_a_candidate_knows_its_area_and_centroid() -> None:
+    mask = np.array([[True, True, False], [True, False, False]])
+    detection = Detection(Box(10, 20, 13, 22), mask, (0.0, 0.0), True)
+    assert detection.area == 3
+    np.testing.assert_allclose(detection.centroid, (10 + 1 / 3, 20 + 1 / 3))
+
+
+def test_an_object_keeps_its_id_at_constant_velocity() -> None:
+    tracker = tracker_of()
+    ids = []
+    for frame in range(60):
+        observation = only(update(tracker, [crossing(frame, (5, 30), (3, 0))]))
+        ids.append(observation.track.id)
+    assert ids == [0] * (CONFIRMATION - 1) + [1] * (61 - CONFIRMATION)
+    np.testing.assert_allclose(observation.velocity, (3, 0), atol=0.2)
+    np.testing.assert_allclose(observation.track.position, (5 + 59 * 3 + 9.5, 35.5), atol=1.0)
+
+
+def test_an_object_is_known_once_it_was_seen_often_enough() -> None:
+    for confirmation in (1, 2, 6):
+        tracker = tracker_of(confirmation=confirmation, travel=0.0)
+        assert tracker.delay == confirmation - 1
+        for frame in range(confirmation):
+            detection = crossing(frame, (5, 30), (3, 0))
+            observation = only(update(tracker, [detection], tilt=0.0))
+            assert observation.track.confirmed == (frame == confirmation - 1)
+
+
+def test_earlier_observations_learn_the_id_of_their_track() -> None:
+    tracker = tracker_of()
+    first = follow(tracker, range(1), (5, 30), (3, 0))
+    assert not first.track.confirmed
+    follow(tracker, range(1, 4), (5, 30), (3, 0))
+    assert first.track.confirmed
+    assert first.track.id == 1
+
+
+def test_an_object_that_hides_for_some_frames_keeps_its_id() -> None:
+    tracker = tracker_of()
+    before = follow(tracker, range(8), (5, 30), (3, 0))
+    wait(tracker, PATIENCE - 2)
+    after = only(update(tracker, [crossing(8 + PATIENCE - 2, (5, 30), (3, 0))]))
+    assert after.track is before.track
+    assert after.track.id == 1
+
+
+def test_an_object_that_hides_for_too_long_ends() -> None:
+    tracker = tracker_of()
+    follow(tracker, range(8), (5, 30), (3, 0))
+    wait(tracker, PATIENCE + 1)
+    assert not tracker.expected_outlines(STILL_CAMERA, (96, 160))
+    later = 8 + PATIENCE + 1
+    after = follow(tracker, range(later, later + CONFIRMATION), (5, 30), (3, 0))
+    assert after.track.id == 2
+
+
+def test_objects_that_cross_keep_their_ids() -> None:
+    tracker = tracker_of()
+    ids: dict[float, set[int]] = {3.0: set(), -3.0: set()}
+    for frame in range(40):
+        detections = [
+            crossing(frame, (10, 30), (3, 0)),
+            crossing(frame, (130, 34), (-3, 0)),
+        ]
+        for observation in update(tracker, detections):
+            if observation.track.confirmed:
+                ids[observation.detection.velocity[0]].add(observation.track.id)
+    assert sorted(ids.values(), key=min) == [{1}, {2}]
+
+
+def test_objects_that_hide_each_other_keep_their_ids() -> None:
+    tracker = tracker_of()
+    ids: dict[float, set[int]] = {3.0: set(), -3.0: set()}
+    for frame in range(40):
+        right = crossing(frame, (10, 30), (3, 0))
+        left = crossing(frame, (130, 32), (-3, 0))
+        hidden = abs(right.box.x0 - left.box.x0) < 12
+        for observation in update(tracker, [right] if hidden else [right, left]):
+            if observation.track.confirmed:
+                ids[observation.detection.velocity[0]].add(observation.track.id)
+    assert sorted(ids.values(), key=min) == [{1}, {2}]
+
+
+def test_an_object_behind_a_pole_stays_one() -> None:
+    tracker = tracker_of()
+    before = follow(tracker, range(8), (5, 30), (3, 0))
+    left, right = seen(29, 30, (3, 0), width=8), seen(40, 30, (3, 0), width=9)
+    parted = only(update(tracker, [left, right]))
+    assert parted.track is before.track
+    np.testing.assert_array_equal(union_mask([parted.detection]), union_mask([left, right]))
+
+
+def test_an_object_keeps_its_id_though_a_part_of_it_was_seen_apart() -> None:
+    tracker = tracker_of()
+    for frame in range(10):
+        legs = crossing(frame, (5, 40), (2, 0), height=8)
+        update(tracker, [legs])
+    # The middle of the whole lies nearer to the part that is new than to the one that is known.
+    legs, trunk = (crossing(10, (5, y), (2, 0), height=h) for y, h in ((40, 8), (24, 10)))
+    assert {observed.track.id for observed in update(tracker, [legs, trunk])} == {0, 1}
+    whole = crossing(11, (5, 24), (2, 0), height=24)
+    assert only(update(tracker, [whole])).track.id == 1
+
+
+def test_two_objects_side_by_side_are_two() -> None:
+    tracker = tracker_of()
+    for frame in range(10):
+        detections = [crossing(frame, (5, y), (3, 0)) for y in (20, 40)]
+        observations = update(tracker, detections)
+    assert sorted(o.track.id for o in observations) == [1, 2]
+    assert sorted(o.track.slot for o in observations) == [0, 1]
+
+
+def swaying(frame: int, reach: float) -> Detection:
+    """Something that goes to and fro, and flow that sees it do so."""
+    phase = 2 * np.pi * frame / 12
+    speed = 2 * np.pi / 12 * reach
+    return seen(60 + reach * np.sin(phase), 30, (speed * np.cos(phase), 0.0))
+
+
+def test_what_sways_by_less_than_the_wanted_travel_never_becomes_an_object() -> None:
+    tracker = tracker_of(travel=5.0)
+    for frame in range(80):
+        assert not only(update(tracker, [swaying(frame, reach=2.0)])).track.confirmed
+
+
+def test_what_sways_widely_is_no_object_for_long() -> None:
+    tracker = tracker_of()
+    known = [
+        any(o.track.confirmed for o in update(tracker, [swaying(frame, reach=6.0)]))
+        for frame in range(200)
+    ]
+    assert not any(known[40:])
+
+
+def test_what_stands_still_never_becomes_an_object() -> None:
+    tracker = tracker_of()
+    for _ in range(20):
+        assert not only(update(tracker, [seen(60, 30)])).track.confirmed
+
+
+def test_flow_that_takes_nothing_along_is_no_object() -> None:
+    tracker = tracker_of()
+    for frame in range(20):
+        # It claims 2 pixels a frame, and comes a quarter of one.
+        detection = seen(60 + frame / 4, 30, (2.0, 0.0))
+        assert not only(update(tracker, [detection])).track.confirmed
+
+
+@pytest.mark.parametrize(("tilt", "known"), [(0.0, True), (3.0, False)])
+def test_in_strong_turbulence_an_object_must_come_further(tilt: float, known: bool) -> None:
+    tracker = tracker_of()
+    for frame in range(6):
+        detection = crossing(frame, (5, 30), (0.8, 0))
+        observation = only(update(tracker, [detection], tilt=tilt))
+    assert observation.track.confirmed == known
+
+
+def test_a_single_sight_is_forgotten() -> None:
+    tracker = tracker_of()
+    for frame in range(0, 40, 4):
+        follow(tracker, range(frame, frame + 1), (5, 30), (3, 0))
+        wait(tracker, 3)
+    assert tracker.next_id == 1
+
+
+def test_an_object_that_stops_is_kept_while_patience_lasts() -> None:
+    tracker = tracker_of()
+    last = follow(tracker, range(8), (5, 30), (3, 0))
+    for _ in range(PATIENCE):
+        standing = seen(26, 30, moving=False)
+        assert only(update(tracker, [standing])).track is last.track
+    assert len(tracker.expected_outlines(STILL_CAMERA, (96, 160))) == 1
+    update(tracker, [standing])
+    assert not tracker.expected_outlines(STILL_CAMERA, (96, 160))
+
+
+def test_ids_are_never_used_again() -> None:
+    tracker = tracker_of()
+    ids = []
+    for number in range(5):
+        ids.append(follow(tracker, range(6), (5, 10 * number), (3, 0)).track.id)
+        if number % 2:
+            tracker.reset()
+        else:
+            wait(tracker, PATIENCE + 1)
+    assert ids == [1, 2, 3, 4, 5]
+    assert tracker.next_id == 6
+
+
+def test_another_tracker_goes_on_counting() -> None:
+    tracker, successor = tracker_of(), tracker_of()
+    follow(tracker, range(6), (5, 30), (3, 0))
+    successor.continue_ids(tracker)
+    assert follow(successor, range(6), (5, 30), (3, 0)).track.id == 2
+
+
+def rows(frame: int, *lines: int) -> list[Detection]:
+    return [crossing(frame, (5, 20 * line), (3, 0)) for line in lines]
+
+
+def test_slots_are_kept_freed_and_used_again() -> None:
+    tracker = tracker_of()
+    for frame in range(8):
+        observations = update(tracker, rows(frame, 0, 1, 2))
+    assert [o.track.slot for o in observations] == [0, 1, 2]
+    # The one in the middle is gone; another comes.
+    for frame in range(8, 8 + PATIENCE + 1):
+        update(tracker, rows(frame, 0, 2))
+    for frame in range(8 + PATIENCE + 1, 8 + PATIENCE + 7):
+        observations = update(tracker, rows(frame, 0, 2, 4))
+    assert [(o.track.id, o.track.slot) for o in observations] == [(1, 0), (3, 2), (4, 1)]
+
+
+def test_an_object_without_a_free_slot_has_an_id_all_the_same() -> None:
+    tracker = tracker_of()
+    for frame in range(8):
+        observations = update(tracker, rows(frame, 0, 1, 2, 3))
+    assert sorted(o.track.id for o in observations) == [1, 2, 3, 4]
+    assert sorted(o.track.slot for o in observations) == [-1, 0, 1, 2]
+
+
+def test_reset_frees_the_slots() -> None:
+    tracker = tracker_of(slots=1)
+    follow(tracker, range(6), (5, 30), (3, 0))
+    tracker.reset()
+    assert follow(tracker, range(6), (5, 30), (3, 0)).track.slot == 0
+
+
+def test_ego_motion_carries_tracks_along() -> None:
+    tracker = tracker_of()
+    # The camera's pan moves the scene by (-10, 4), within which the object moves by (2, 0).
+    for frame in range(12):
+        detection = seen(200 - 8 * frame, 10 + 4 * frame, (2.0, 0.0))
+        observation = only(update(tracker, [detection], pan(-10, 4)))
+    assert observation.track.id == 1
+    np.testing.assert_allclose(observation.velocity, (2, 0), atol=0.2)
+    # The trail is where the object was in the scene, in this frame's pixels.
+    steps = np.diff(observation.trail, axis=0)
+    np.testing.assert_allclose(steps[2:], np.tile((2, 0), (len(steps) - 2, 1)), atol=0.5)
+
+
+def test_a_camera_that_moves_does_not_make_objects_of_the_scene() -> None:
+    tracker = tracker_of()
+    for frame in range(20):
+        detection = seen(200 - 8 * frame, 30, (0.3, 0.0))
+        assert not only(update(tracker, [detection], pan(-8, 0))).track.confirmed
+
+
+def test_a_turn_of_the_camera_turns_velocities() -> None:
+    tracker = tracker_of()
+    follow(tracker, range(10), (5, 30), (3, 0))
+    quarter = np.array([[0.0, -1.0, 100.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    observation = only(update(tracker, [seen(54.5, 39.5, (0.0, 3.0))], quarter))
+    assert observation.track.id == 1
+    np.testing.assert_allclose(observation.velocity, (0, 3), atol=0.3)
+
+
+def test_an_object_is_expected_where_it_is_headed() -> None:
+    tracker = tracker_of()
+    follow(tracker, range(8), (5, 30), (3, 0))
+    (expected,) = tracker.expected_outlines(pan(-10, 4), (96, 160))
+    true = np.zeros((96, 160), bool)
+    true[34:46, 19:39] = True
+    assert jaccard(expected.in_frame(true.shape), true) > 0.8
+
+
+def test_a_hidden_object_is_expected_where_it_has_got_to() -> None:
+    tracker = tracker_of()
+    follow(tracker, range(8), (5, 30), (3, 0))
+    wait(tracker, 4)
+    (expected,) = tracker.expected_outlines(STILL_CAMERA, (96, 160))
+    true = np.zeros((96, 160), bool)
+    true[30:42, 41:61] = True
+    assert jaccard(expected.in_frame(true.shape), true) > 0.8
+
+
+def test_a_hidden_object_is_expected_where_the_camera_has_turned() -> None:
+    tracker = tracker_of()
+    for frame in range(8):
+        update(tracker, [seen(120 - 5 * frame, 30, (3.0, 0.0))], pan(-8, 0))
+    for _ in range(3):
+        update(tracker, [], pan(-8, 0))
+    (expected,) = tracker.expected_outlines(pan(-8, 0), (96, 160))
+    true = np.zeros((96, 160), bool)
+    true[30:42, 65:85] = True
+    assert jaccard(expected.in_frame(true.shape), true) > 0.8
+
+
+def test_what_is_no_object_is_not_expected() -> None:
+    tracker = tracker_of()
+    follow(tracker, range(CONFIRMATION - 1), (5, 30), (3, 0))
+    assert not tracker.expected_outlines(STILL_CAMERA, (96, 160))
+
+
+def test_an_object_that_gets_nowhere_ends() -> None:
+    tracker = tracker_of()
+    follow(tracker, range(8), (5, 30), (3, 0))
+    for _ in range(60):
+        # It has stopped, and flow claims that it has not.
+        update(tracker, [seen(26, 30, (3.0, 0.0))])
+    assert not tracker.expected_outlines(STILL_CAMERA, (96, 160))
+    assert tracker.next_id == 2
+
+
+def test_a_track_may_end_where_another_one_is() -> None:
+    tracker = tracker_of()
+    follow(tracker, range(8), (5, 30), (3, 0))
+    last = 26, 30
+    wait(tracker, PATIENCE)
+    # Long gone from there, the object ends while another is seen just where it was seen last.
+    update(tracker, [seen(*last, (-3.0, 0.0))])
+
+
+def union_mask(detections: Iterable[Detection]) -> np.ndarray:
+    picture = np.zeros((160, 160), bool)
+    for detection in detections:
+        picture[detection.box.slices] |= detection.mask
+    return picture
+
+
+def in_haste(tracker: KalmanTracker, frame: int, detection: Detection) -> list[Observation]:
+    """Look for a detection in every fourth frame only."""
+    if frame % 4:
+        return tracker.coast(STILL_CAMERA, (200, 400))
+    return update(tracker, [detection])
+
+
+def test_an_object_that_is_seen_in_every_fourth_frame_is_carried_along_between() -> None:
+    tracker = tracker_of()
+    for frame in range(40):
+        there = crossing(frame, (30.0, 40.0), (3.0, 1.0))
+        observation = only(in_haste(tracker, frame, there))
+        assert observation.track.id == (1 if frame >= 4 else 0)
+        assert jaccard(
+            observation.detection.outline.in_frame((200, 400)), there.outline.in_frame((200, 400))
+        ) > (0.8 if frame >= 8 else 0.5)
+
+
+def test_what_changes_its_shape_becomes_no_object_by_being_carried_along() -> None:
+    tracker = tracker_of()
+    for frame in range(40):
+        wide = frame % 8 == 0
+        there = crossing(
+            frame, (30.0, 40.0), (1.0, 0.0), width=40 if wide else 8, height=6 if wide else 40
+        )
+        for observation in in_haste(tracker, frame, there):
+            assert not observation.track.confirmed
+
+
+def test_an_object_is_carried_out_of_the_frame_at_its_own_pace() -> None:
+    tracker = tracker_of()
+    for frame in range(12):
+        update(tracker, [crossing(frame, (320.0, 40.0), (5.0, 0.0))])
+    # Its right edge is at 395 of 400 pixels.
+    widths = []
+    for _ in range(7):
+        observations = tracker.coast(STILL_CAMERA, (200, 400))
+        widths.append(only(observations).detection.area / 12 if observations else 0)
+    assert widths == pytest.approx([20, 15, 10, 5, 0, 0, 0], abs=1)
+
+
+def test_what_was_not_found_comes_no_nearer_to_being_an_object_while_it_is_carried() -> None:
+    tracker = tracker_of()
+    first = only(update(tracker, [crossing(0, (30.0, 40.0), (3.0, 0.0))]))
+    update(tracker, [])
+    hits = first.track.hits
+    assert tracker.coast(STILL_CAMERA, (200, 400)) == []
+    assert first.track.hits == hits
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 10_000))
+def test_whatever_is_seen_ids_and_slots_are_unique(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    tracker = tracker_of(confirmation=2, travel=0.0, patience=3)
+    ids_of: dict[int, int] = {}
+    tracks = []
+    for _ in range(20):
+        detections = [
+            seen(*random.uniform(0, 100, 2), tuple(random.normal(0, 3, 2)), width=int(size))
+            for size in random.integers(3, 30, random.integers(0, 5))
+        ]
+        observations = update(tracker, detections)
+        np.testing.assert_array_equal(
+            union_mask(o.detection for o in observations), union_mask(detections)
+        )
+        live = [o.track for o in observations if o.track.confirmed]
+        slots = [track.slot for track in live if track.slot >= 0]
+        assert len(slots) == len(set(slots))
+        assert len({track.id for track in live}) == len(live)
+        for track in live:
+            tracks.append(track)
+            assert ids_of.setdefault(id(track), track.id) == track.id
+    known = {id(track): track.id for track in tracks}
+    assert sorted(known.values()) == sorted(set(known.values()))
+
+
+# Not a single one, see below.
+POINTS = st.lists(st.tuples(st.floats(0, 1000), st.floats(0, 1000)), max_size=40).filter(
+    lambda points: len(points) != 1
+)
+
+
+@settings(max_examples=30, deadline=None)
+@given(points=POINTS, count=st.integers(1, 12))
+def test_kmeans_gives_every_mask_an_id_up_to_k(
+    points: list[tuple[float, float]], count: int
+) -> None:
+    centroids = [np.array(point) for point in points]
+    ids = kmeans_ids(centroids, count)
+    assert len(ids) == len(points)
+    assert set(ids) <= set(range(1, count + 1))
+    np.testing.assert_array_equal(kmeans_ids(centroids, count), ids)
+    # What lies in one place is one object.
+    of_place: dict[tuple[float, float], set[int]] = {}
+    for point, identity in zip(np.float32(points).reshape(-1, 2), ids, strict=True):
+        of_place.setdefault(tuple(point), set()).add(int(identity))
+    assert all(len(found) == 1 for found in of_place.values())
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 5])
+def test_kmeans_ids_are_those_of_the_clusters_drawn(count: int) -> None:
+    random = np.random.default_rng(count)
+    middles = [np.array([100.0 * k, 60.0 * (k % 2)]) for k in range(count)]
+    centroids = [middle + random.normal(0, 5, 2) for _ in range(20) for middle in middles]
+    ids = kmeans_ids(centroids, count).reshape(20, count)
+    assert (ids == ids[0]).all()
+    assert sorted(ids[0]) == list(range(1, count + 1))
+
+
+def test_kmeans_splits_an_object_that_crosses_the_view() -> None:
+    # As the paper's does: it goes by place, not by time.
+    across = [np.array([10.0 * frame, 50.0]) for frame in range(20)]
+    assert set(kmeans_ids(across, 2)) == {1, 2}
+
+
+def test_kmeans_has_no_more_ids_than_there_are_places() -> None:
+    ids = kmeans_ids([np.array([1.0, 1.0]), np.array([9.0, 9.0]), np.array([1.0, 1.0])], 7)
+    assert ids[0] == ids[2] != ids[1]
+    assert set(ids) == {1, 2}
+
+
+def test_kmeans_of_a_single_mask_is_one_id() -> None:
+    assert list(kmeans_ids([np.array([3.0, 4.0])], 2)) == [1]
+
+
+def test_kmeans_of_nothing_is_nothing() -> None:
+    assert kmeans_ids([], 3).shape == (0,)
+
+
+def kmeans_clip(unifier: KMeansIds, *counts: int) -> list[list[Observation]]:
+    """A clip with so many masks in each frame, all in places far apart."""
+    clip = [
+        unifier.update([seen(60 * k, 40) for k in range(count)], STILL_CAMERA, 0.1)
+        for count in counts
+    ]
+    unifier.settle()
+    return clip
+
+
+def test_k_is_the_number_of_masks_that_frames_hold_most_often() -> None:
+    clip = kmeans_clip(KMeansIds(slots=8), 2, 0, 2, 3, 2, 0, 0, 0, 0, 1)
+    ids = {observation.track.id for frame in clip for observation in frame}
+    assert ids == {1, 2}
+
+
+def test_nothing_is_known_before_the_clip_has_ended() -> None:
+    unifier = KMeansIds(slots=8)
+    observations = [only(unifier.update([seen(5, 5)], STILL_CAMERA, 0.1)) for _ in range(3)]
+    assert not any(observation.track.confirmed for observation in observations)
+    unifier.settle()
+    for observation in observations:
+        assert observation.track.confirmed
+        assert (observation.track.id, observation.track.slot) == (1, 0)
+
+
+def test_the_next_clip_has_ids_of_its_own() -> None:
+    unifier = KMeansIds(slots=8)
+    first = kmeans_clip(unifier, 2, 2)
+    second = kmeans_clip(unifier, 3, 3)
+    assert {o.track.id for frame in first for o in frame} == {1, 2}
+    assert {o.track.id for frame in second for o in frame} == {3, 4, 5}
+    assert unifier.next_id == 6
+
+
+def test_a_clip_without_masks_has_no_ids() -> None:
+    unifier = KMeansIds(slots=8)
+    assert kmeans_clip(unifier, 0, 0) == [[], []]
+    assert unifier.next_id == 1
+
+
+def test_a_clip_that_is_forgotten_gets_no_ids() -> None:
+    unifier = KMeansIds(slots=8)
+    (observation,) = unifier.update([seen(5, 5)], STILL_CAMERA, 0.1)
+    unifier.reset()
+    unifier.settle()
+    assert not observation.track.confirmed
+    assert unifier.next_id == 1

@@ -1,0 +1,1 @@
+"""What several tests draw, start or stand in for."""

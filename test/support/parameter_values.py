@@ -1,0 +1,29 @@
+"""Values that parameters take, for property tests."""
+
+from __future__ import annotations
+
+from hypothesis import strategies as st
+
+from turbseg_ros.parameters import Declaration, declarations
+
+DECLARED = {declaration.name: declaration for declaration in declarations()}
+
+
+def values_of(declaration: Declaration) -> st.SearchStrategy:
+    """Any value that a parameter takes."""
+    if declaration.choices:
+        return st.sampled_from(declaration.choices)
+    if declaration.type is bool:
+        return st.booleans()
+    if declaration.type is int:
+        return st.integers(declaration.minimum, declaration.maximum)
+    if declaration.type is float:
+        return st.floats(declaration.minimum, declaration.maximum)
+    return st.text()
+
+
+# Texts that are no choice among some.
+FREE_TEXTS = ("flow.weights",)
+MAPPINGS = st.fixed_dictionaries(
+    {}, optional={name: values_of(declaration) for name, declaration in DECLARED.items()}
+)

@@ -1,0 +1,1 @@
+"""Videos, folders of images and masks: what becomes a bag."""

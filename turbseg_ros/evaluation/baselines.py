@@ -1,0 +1,249 @@
+"""What the method is compared with, on the same frames.
+
+OpenCV's background subtraction (MOG2: Zivkovic 2004; KNN: Zivkovic and van der Heijden 2006), each
+raw and after the camera's motion was taken out, and the paper's own choice of parameters.
+"""
+
+from __future__ import annotations
+
+import difflib
+import os
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import ClassVar, Protocol
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from turbseg_ros.factory import clip_segmenter
+from turbseg_ros.parameter_file import load_parameters
+from turbseg_ros.parameters import Parameters
+from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResult, Segmenter
+from turbseg_ros.segmentation.registration import align, register_affine, visible
+from turbseg_ros.segmentation.tone import ToneMap
+
+Picture = npt.NDArray[np.uint8]
+Grey = npt.NDArray[np.uint8]
+Matrix = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+# The middle of what served the baselines best on the bags that come with the package: without
+# shadows, which turbulence feigns, and cleaned by a median and a least area, both in pixels.
+_MEDIAN_SIZE = 5
+_MIN_OBJECT = 30
+# A model that calls more than this share of the picture moving knows no background yet.
+_MAX_FOREGROUND = 0.5
+# Share of the reference that must be in view; when less is, a frame becomes the new reference.
+_MIN_OVERLAP = 0.7
+# Share of the width by which a way from frame to frame may have drifted.
+_MAX_DRIFT = 0.05
+# Pixels along the border of a frame that interpolation spoils.
+_BORDER = 2.0
+
+_SUBTRACTORS: dict[str, Callable[[], cv2.BackgroundSubtractor]] = {
+    "mog2": lambda: cv2.createBackgroundSubtractorMOG2(detectShadows=False),
+    "knn": lambda: cv2.createBackgroundSubtractorKNN(detectShadows=False),
+}
+BASELINES = (*_SUBTRACTORS, "paper")
+"""The names of the baselines."""
+
+
+class UnknownBaselineError(ValueError):
+    """A baseline was asked for that does not exist; the text names those that do."""
+
+
+class Method(Protocol):
+    """Something to be evaluated, which makes a new segmenter for every bag.
+
+    It can be sent to another process. `keeps_ids` tells whether its objects keep their ids.
+    """
+
+    @property
+    def name(self) -> str:
+        """What tables call it."""
+
+    @property
+    def keeps_ids(self) -> bool:
+        """Whether it follows objects from frame to frame."""
+
+    def segmenter(self) -> Segmenter:
+        """Make a segmenter that has seen nothing yet."""
+
+
+@dataclass(frozen=True)
+class TurbsegMethod:
+    """The method itself under some parameters, which make it what it is, whatever its name."""
+
+    name: str = field(compare=False)
+    parameters: Parameters
+    keeps_ids: ClassVar[bool] = True
+
+    def segmenter(self) -> Segmenter:
+        """Make a segmenter that has seen nothing yet."""
+        return clip_segmenter(self.parameters)
+
+
+@dataclass(frozen=True)
+class BackgroundSubtraction:
+    """One of OpenCV's background subtractors, `mog2` or `knn`, raw or on stabilised frames."""
+
+    algorithm: str
+    stabilised: bool
+    keeps_ids: ClassVar[bool] = False
+
+    @property
+    def name(self) -> str:
+        """What tables call it."""
+        return f"{self.algorithm} stabilised" if self.stabilised else self.algorithm
+
+    def segmenter(self) -> Segmenter:
+        """Make a segmenter that has seen nothing yet."""
+        detector = StabilisedDetector if self.stabilised else ForegroundDetector
+        return ComponentSegmenter(detector(self.algorithm))
+
+
+def baselines(names: Sequence[str]) -> tuple[Method, ...]:
+    """Return the baselines of these names, those from OpenCV raw and stabilised.
+
+    :raises UnknownBaselineError: for a name that is not in `BASELINES`.
+    :raises ParameterError: when the paper's parameter file can't be read.
+    """
+    methods: list[Method] = []
+    for name in names:
+        if name not in BASELINES:
+            near = difflib.get_close_matches(name, BASELINES, n=1)
+            hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(BASELINES)}"
+            raise UnknownBaselineError(f"no baseline {name!r}; {hint}")
+        if name == "paper":
+            methods.append(TurbsegMethod(name, load_parameters(config_path("paper.yaml"))))
+        else:
+            methods += [BackgroundSubtraction(name, stabilised) for stabilised in (False, True)]
+    return tuple(methods)
+
+
+def config_path(name: str) -> Path:
+    """Find a file of the package's `config` folder: in the source tree, else as installed.
+
+    A file that is nowhere gets the path it should have in the source tree.
+    """
+    source = Path(__file__).parents[2] / "config" / name
+    prefixes = [*filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(":")), sys.prefix]
+    installed = (Path(prefix, "share/turbseg_ros/config", name) for prefix in prefixes)
+    return next((path for path in (source, *installed) if path.is_file()), source)
+
+
+class ForegroundDetector:
+    """A background subtractor on the frames as they come."""
+
+    def __init__(self, algorithm: str) -> None:
+        # KNN replaces its samples at random.
+        cv2.setRNGSeed(1)
+        self._subtractor = _SUBTRACTORS[algorithm]()
+
+    def foreground(self, picture: Picture) -> Mask:
+        """Return which pixels of the next picture, HxW or HxWx3, are no background."""
+        foreground: Mask = self._subtractor.apply(picture) > 0
+        if np.count_nonzero(foreground) > _MAX_FOREGROUND * foreground.size:
+            foreground[:] = False
+        return foreground
+
+
+class StabilisedDetector:
+    """A background subtractor on frames that are brought into the view of a reference frame.
+
+    The reference is the first frame, and a new one whenever too little of it is left in view.
+    """
+
+    def __init__(self, algorithm: str) -> None:
+        self._algorithm = algorithm
+        self._detector = ForegroundDetector(algorithm)
+        self._reference: Grey | None = None
+
+    def foreground(self, picture: Picture) -> Mask:
+        """Return which pixels of the next picture, HxW or HxWx3, are no background."""
+        grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY) if picture.ndim == 3 else picture
+        to_picture, in_view = self._register(grey)
+        found = self._detector.foreground(align(picture, to_picture)) & in_view
+        height, width = grey.shape
+        returned = cv2.warpAffine(
+            found.astype(np.uint8), to_picture[:2], (width, height), flags=cv2.INTER_NEAREST
+        )
+        return np.asarray(returned > 0)
+
+    def _register(self, grey: Grey) -> tuple[Matrix, Mask]:
+        """Return the transform from the reference to this frame, and what of it is in view."""
+        if self._reference is not None and self._reference.shape == grey.shape:
+            self._to_newest = self._transform(self._reference, grey)
+            self._newest = grey
+            in_view = visible((grey.shape[0], grey.shape[1]), self._to_newest, _BORDER)
+            if np.count_nonzero(in_view) >= _MIN_OVERLAP * in_view.size:
+                return self._to_newest, in_view
+        self._detector = ForegroundDetector(self._algorithm)
+        self._reference = self._newest = grey
+        self._to_newest = np.eye(3)
+        return self._to_newest, np.ones(grey.shape, bool)
+
+    def _transform(self, reference: Grey, grey: Grey) -> Matrix:
+        """Return the transform from the reference to this frame.
+
+        Registered directly it doesn't drift; but where an object was followed instead of the
+        scene, it is far from that by way of all frames between, which stands then.
+        """
+        direct = register_affine(reference, grey)
+        step = register_affine(self._newest, grey)
+        stepwise = self._to_newest if step is None else step @ self._to_newest
+        if direct is None:
+            return stepwise
+        height, width = grey.shape
+        corners = np.array([[0, width, width, 0], [0, 0, height, height], [1, 1, 1, 1]])
+        apart = float(np.abs((direct - stepwise) @ corners).max())
+        return direct if apart < _MAX_DRIFT * width else stepwise
+
+
+class ComponentSegmenter:
+    """Answers every frame at once: each connected component of the foreground is an object.
+
+    Components are numbered anew in each frame.
+    """
+
+    def __init__(self, detector: ForegroundDetector | StabilisedDetector) -> None:
+        self._detector = detector
+        self._tone = ToneMap()
+
+    def push(self, frame: Frame) -> list[SegmentationResult]:
+        """Take the next frame; return its result."""
+        foreground = self._detector.foreground(self._tone(frame.image))
+        cleaned = cv2.medianBlur(foreground.astype(np.uint8), _MEDIAN_SIZE)
+        _, components, statistics, centroids = cv2.connectedComponentsWithStats(cleaned)
+        large = statistics[:, cv2.CC_STAT_AREA] >= _MIN_OBJECT
+        large[0] = False
+        ids = np.cumsum(large, dtype=np.uint16) * large
+        objects = tuple(
+            MovingObject(
+                id=int(ids[component]),
+                slot=-1,
+                centroid=(float(centroids[component, 0]), float(centroids[component, 1])),
+                velocity=(0.0, 0.0),
+                area=int(area),
+                box=(int(left), int(top), int(width), int(height)),
+            )
+            for component, (left, top, width, height, area) in enumerate(statistics)
+            if large[component]
+        )
+        return [
+            SegmentationResult(
+                frame=frame,
+                labels=ids[components],
+                objects=objects,
+                motion_map=np.zeros((0, 0), np.float32),
+                tilt=float("nan"),
+                ego_motion_model="",
+            )
+        ]
+
+    def flush(self) -> list[SegmentationResult]:
+        """Return nothing: every frame was answered."""
+        return []

@@ -1,0 +1,96 @@
+"""The unit of an evaluation's work: one bag through one segmenter, here or in another process."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from turbseg_ros.bag.frames import BagFrames
+from turbseg_ros.bag.reader import BagReader
+from turbseg_ros.evaluation.baselines import Method
+from turbseg_ros.evaluation.disturbance import Disturbance, DisturbanceError, DisturbedClip
+from turbseg_ros.evaluation.evaluate import EvaluationError, evaluate_segmenter
+from turbseg_ros.evaluation.labels import LabelsByStamp, read_labels
+from turbseg_ros.evaluation.pictures import Illustrations, Illustrator
+from turbseg_ros.evaluation.scores import BagScores
+from turbseg_ros.overlay import DEFAULT_ANNOTATORS, OutlineAnnotator
+from turbseg_ros.segmentation.frame import Frame
+
+Progress = Callable[[BagFrames], Iterable[Frame]]
+"""Hands the frames of a bag on while it follows, say with a progress bar, how many were taken."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """A bag with its truth: what tables call it, where it lies, which of its topics to take.
+
+    Without an `image_topic` the bag must have images on one topic only.
+    """
+
+    name: str
+    path: Path
+    image_topic: str | None
+    truth_topic: str
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """What came of a run; `illustrations` only where they were asked for."""
+
+    scores: BagScores
+    illustrations: Illustrations | None
+
+
+@dataclass(frozen=True)
+class Run:
+    """One bag through one method, under a disturbance or as it was recorded.
+
+    Equal runs give equal scores, apart from their times; pictures are no part of that.
+    """
+
+    source: Source
+    method: Method
+    disturbance: Disturbance | None = None
+    illustrated: bool = field(default=False, compare=False)
+
+    @property
+    def title(self) -> str:
+        """What a progress bar calls it."""
+        return f"{Path(self.source.name).name}, {self.method.name}"
+
+    def run(self, progress: Progress = iter) -> RunResult:
+        """Segment the bag and score the results.
+
+        :raises BagError: when the bag can't be read or lacks a topic.
+        :raises EvaluationError: when frames and truth don't go together, or can't be disturbed.
+        """
+        reader = BagReader(self.source.path)
+        truth = LabelsByStamp(read_labels(reader, self.source.truth_topic))
+        images = BagFrames(reader, reader.find_image_topic(self.source.image_topic))
+        frames: Iterable[Frame] = progress(images)
+        if self.disturbance is not None:
+            frames = clip = DisturbedClip(frames, len(images), truth, self.disturbance)
+            truth = clip.truth
+        illustrator = self._illustrator(len(images))
+        try:
+            scores = evaluate_segmenter(
+                self.source.name,
+                frames,
+                self.method.segmenter(),
+                truth,
+                [] if illustrator is None else [illustrator],
+            )
+        except DisturbanceError as error:
+            raise EvaluationError(f"{self.source.name}: {error}") from error
+        return RunResult(
+            # What numbers its objects anew in each frame can't confuse them.
+            scores=scores if self.method.keeps_ids else scores.without_ids(),
+            illustrations=None if illustrator is None else illustrator.illustrations(),
+        )
+
+    def _illustrator(self, frames: int) -> Illustrator | None:
+        if not self.illustrated:
+            return None
+        keeps_ids = self.method.keeps_ids
+        return Illustrator(frames, DEFAULT_ANNOTATORS if keeps_ids else (OutlineAnnotator(),))

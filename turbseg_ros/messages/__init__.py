@@ -1,0 +1,1 @@
+"""Images and results from and to ROS messages, without middleware."""

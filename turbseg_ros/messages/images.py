@@ -1,0 +1,279 @@
+"""Images between ROS messages, arrays and frames; needs no running middleware."""
+
+from __future__ import annotations
+
+import reprlib
+import sys
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from builtin_interfaces.msg import Time
+from sensor_msgs.msg import CompressedImage, Image
+
+from turbseg_ros.messages.cdr import (
+    CompressedImageView,
+    ImageView,
+    SerialisedDataError,
+    compressed_image_view,
+    image_view,
+)
+from turbseg_ros.segmentation.frame import Frame
+
+AnyImage: TypeAlias = Image | CompressedImage | ImageView | CompressedImageView
+
+_NANOSECONDS = 1_000_000_000
+# A PNG is its signature and chunks: length, kind, so many bytes of data, checksum.
+_PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+_PNG_CHUNK_FRAME = 12
+
+
+class ImageConversionError(ValueError):
+    """Message and image that can't be made one another; the text is one line saying why."""
+
+
+class UnknownEncodingError(ImageConversionError):
+    """An encoding that is not in the table."""
+
+
+class ImageSizeError(ImageConversionError):
+    """A size that no image of the encoding has."""
+
+
+class ImageDataError(ImageConversionError):
+    """Data that do not hold what the message says."""
+
+
+class StampError(ImageConversionError):
+    """A stamp that is no time."""
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """How an encoding stores a pixel, and OpenCV's conversion of that to grey or BGR, if any.
+
+    Every conversion needs at least `minimum` pixels each way, and a width that `columns` divides.
+    """
+
+    dtype: type[np.generic]
+    channels: int = 1
+    conversion: int | None = None
+    minimum: int = 1
+    columns: int = 1
+
+
+def _bayer(dtype: type[np.generic], conversion: int) -> _Layout:
+    return _Layout(dtype, conversion=conversion, minimum=3)
+
+
+_UYVY = _Layout(np.uint8, 2, cv2.COLOR_YUV2BGR_UYVY, columns=2)
+_YUYV = _Layout(np.uint8, 2, cv2.COLOR_YUV2BGR_YUY2, columns=2)
+
+# By the names in sensor_msgs/image_encodings.hpp. OpenCV names a Bayer pattern by the two pixels
+# in the middle of the second row, ROS by the first four: OpenCV's BG is rggb.
+_LAYOUTS = {
+    "mono8": _Layout(np.uint8),
+    "8UC1": _Layout(np.uint8),
+    "mono16": _Layout(np.uint16),
+    "16UC1": _Layout(np.uint16),
+    "32FC1": _Layout(np.float32),
+    "bgr8": _Layout(np.uint8, 3),
+    "rgb8": _Layout(np.uint8, 3, cv2.COLOR_RGB2BGR),
+    "bgra8": _Layout(np.uint8, 4, cv2.COLOR_BGRA2BGR),
+    "rgba8": _Layout(np.uint8, 4, cv2.COLOR_RGBA2BGR),
+    "bgr16": _Layout(np.uint16, 3),
+    "rgb16": _Layout(np.uint16, 3, cv2.COLOR_RGB2BGR),
+    "bgra16": _Layout(np.uint16, 4, cv2.COLOR_BGRA2BGR),
+    "rgba16": _Layout(np.uint16, 4, cv2.COLOR_RGBA2BGR),
+    "bayer_rggb8": _bayer(np.uint8, cv2.COLOR_BayerBG2BGR),
+    "bayer_bggr8": _bayer(np.uint8, cv2.COLOR_BayerRG2BGR),
+    "bayer_gbrg8": _bayer(np.uint8, cv2.COLOR_BayerGR2BGR),
+    "bayer_grbg8": _bayer(np.uint8, cv2.COLOR_BayerGB2BGR),
+    "bayer_rggb16": _bayer(np.uint16, cv2.COLOR_BayerBG2BGR),
+    "bayer_bggr16": _bayer(np.uint16, cv2.COLOR_BayerRG2BGR),
+    "bayer_gbrg16": _bayer(np.uint16, cv2.COLOR_BayerGR2BGR),
+    "bayer_grbg16": _bayer(np.uint16, cv2.COLOR_BayerGB2BGR),
+    "yuv422": _UYVY,
+    "uyvy": _UYVY,
+    "yuv422_yuy2": _YUYV,
+    "yuyv": _YUYV,
+}
+
+# By type and channels, what needs no conversion.
+_PLAIN = {
+    ("uint8", 1): "mono8",
+    ("uint16", 1): "mono16",
+    ("float32", 1): "32FC1",
+    ("uint8", 3): "bgr8",
+    ("uint16", 3): "bgr16",
+}
+
+
+def frame_from_serialised(message: memoryview, kind: type[Image] | type[CompressedImage]) -> Frame:
+    """Return the frame that a serialised message of a kind holds; see `frame_from_message`.
+
+    :raises ImageConversionError: also when it is no message of that kind.
+    """
+    read = compressed_image_view if kind is CompressedImage else image_view
+    try:
+        return frame_from_message(read(message))
+    except SerialisedDataError as error:
+        raise ImageDataError(f"image {error}") from error
+
+
+def frame_from_message(message: AnyImage) -> Frame:
+    """Return the frame that a camera's message holds, as the method takes it.
+
+    :raises ImageConversionError: as `image_from_message`, and for a stamp whose nanoseconds make
+        a second or more, for the answers could not carry it.
+    """
+    header = message.header
+    if header.stamp.nanosec >= _NANOSECONDS:
+        raise StampError(f"image stamp has {header.stamp.nanosec} ns, which is a second or more")
+    return Frame(stamp_to_ns(header.stamp), image_from_message(message), header.frame_id)
+
+
+def image_from_message(message: AnyImage) -> npt.NDArray[Any]:
+    """Return a message's image: HxW (grey) or HxWx3 (BGR), uint8, uint16 or float32.
+
+    Where nothing needs converting, the array is a view of the message's own data, its rows apart
+    by the message's `step`.
+
+    :raises ImageConversionError: for an encoding that is not known, a size, step or length of data
+        that can't be, or compressed data that can't be decoded.
+    """
+    if isinstance(message, CompressedImage | CompressedImageView):
+        return _decoded(message)
+    layout = _LAYOUTS.get(message.encoding)
+    if layout is None:
+        raise UnknownEncodingError(
+            f"image encoding {reprlib.repr(message.encoding)} is not supported; "
+            f"it takes {', '.join(_LAYOUTS)}"
+        )
+    stored = _native(_pixels(message, layout))
+    if layout.conversion is None:
+        return stored
+    converted: npt.NDArray[Any] = cv2.cvtColor(stored, layout.conversion)
+    return converted
+
+
+def encoding_of(image: npt.NDArray[Any]) -> str:
+    """Return the encoding that stores `image`, HxW (grey) or HxWx3 (BGR), as it is.
+
+    :raises ImageConversionError: when none does.
+    """
+    channels = image.shape[2] if image.ndim == 3 else 1
+    encoding = _PLAIN.get((image.dtype.name, channels))
+    if encoding is None:
+        raise ImageConversionError(
+            f"no encoding stores {image.dtype} images of {channels} channels"
+        )
+    return encoding
+
+
+def message_from_image(
+    image: npt.NDArray[Any], encoding: str, stamp_ns: int, frame_id: str = ""
+) -> Image:
+    """Return an image message that holds a copy of `image`, HxW or HxWxC.
+
+    :raises ValueError: when the array isn't what `encoding` stores.
+    """
+    layout = _LAYOUTS[encoding]
+    shape = image.shape if image.ndim == 3 else (*image.shape, 1)
+    if len(shape) != 3 or shape[2] != layout.channels or image.dtype != layout.dtype:
+        raise ValueError(f"{encoding} does not store {image.dtype} of shape {image.shape}")
+    message = Image(
+        height=shape[0],
+        width=shape[1],
+        encoding=encoding,
+        is_bigendian=int(sys.byteorder == "big"),
+        step=shape[1] * shape[2] * image.itemsize,
+    )
+    message.header.stamp = ns_to_stamp(stamp_ns)
+    message.header.frame_id = frame_id
+    # Assigning an array or bytes to `data` checks every byte in Python: a hundred times slower.
+    message.data.frombytes(np.ascontiguousarray(image).data.cast("B"))
+    return message
+
+
+def stamp_to_ns(stamp: Time) -> int:
+    """Return a message's time in nanoseconds."""
+    return int(stamp.sec) * _NANOSECONDS + int(stamp.nanosec)
+
+
+def ns_to_stamp(nanoseconds: int) -> Time:
+    """Return a time in nanoseconds as messages carry it."""
+    sec, nanosec = divmod(nanoseconds, _NANOSECONDS)
+    return Time(sec=sec, nanosec=nanosec)
+
+
+def _pixels(message: Image | ImageView, layout: _Layout) -> npt.NDArray[Any]:
+    """View a message's data as HxW or HxWxC, in the byte order that it has."""
+    height, width, step = message.height, message.width, message.step
+    _check_size(message, layout)
+    dtype = np.dtype(layout.dtype).newbyteorder(">" if message.is_bigendian else "<")
+    row = width * layout.channels * dtype.itemsize
+    if step < row:
+        raise ImageDataError(
+            f"image step {step} is too short: {width} pixels of {message.encoding} are {row} bytes"
+        )
+    needed = (height - 1) * step + row
+    if len(message.data) < needed:
+        raise ImageDataError(
+            f"image data is too short: {width}x{height} {message.encoding} with step {step} "
+            f"needs {needed} bytes, not {len(message.data)}"
+        )
+    shape = (height, width, layout.channels)
+    strides = (step, layout.channels * dtype.itemsize, dtype.itemsize)
+    pixels: npt.NDArray[Any] = np.ndarray(shape, dtype, memoryview(message.data), 0, strides)
+    return pixels[:, :, 0] if layout.channels == 1 else pixels
+
+
+def _check_size(message: Image | ImageView, layout: _Layout) -> None:
+    size = f"image of {message.width}x{message.height} pixels"
+    if min(message.height, message.width) == 0:
+        raise ImageSizeError(f"{size} is empty")
+    if min(message.height, message.width) < layout.minimum or message.width % layout.columns:
+        raise ImageSizeError(f"{size} can't be {message.encoding}")
+
+
+def _native(pixels: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return the array in this machine's byte order, its rows where their type may lie."""
+    whole_steps = pixels.strides[0] % pixels.itemsize == 0
+    return pixels.astype(pixels.dtype.newbyteorder("="), copy=not whole_steps)
+
+
+def _decoded(message: CompressedImage | CompressedImageView) -> npt.NDArray[Any]:
+    data = np.frombuffer(memoryview(message.data), np.uint8)
+    what = f"compressed image (format {reprlib.repr(message.format)}, {data.size} bytes)"
+    if _is_cut_png(data):
+        raise ImageDataError(f"{what} can't be decoded: it ends within a chunk")
+    flags = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR | cv2.IMREAD_IGNORE_ORIENTATION
+    image: npt.NDArray[Any] | None
+    try:
+        image = cv2.imdecode(data, flags) if data.size else None
+    except cv2.error as error:
+        raise ImageDataError(f"{what} can't be decoded: {error.err}") from error
+    if image is None:
+        raise ImageDataError(f"{what} can't be decoded")
+    if image.ndim == 3 and image.shape[2] == 4:  # 16-bit PNG keeps its alpha
+        image = cv2.cvtColor(image, cv2.COLOR_BGRA2BGR)
+    if image.dtype not in (np.uint8, np.uint16, np.float32):
+        raise UnknownEncodingError(f"{what} holds {image.dtype}, which is not supported")
+    return image
+
+
+def _is_cut_png(data: npt.NDArray[np.uint8]) -> bool:
+    """Whether a PNG states more data than it has: OpenCV takes memory for all it states."""
+    if data[: len(_PNG_SIGNATURE)].tobytes() != _PNG_SIGNATURE:
+        return False
+    position = len(_PNG_SIGNATURE)
+    while position < data.size:
+        head = data[position : position + 8].tobytes()
+        length, kind = head[:4], head[4:]
+        position += _PNG_CHUNK_FRAME + int.from_bytes(length, "big")
+        if kind == b"IEND":
+            break
+    return position > data.size

@@ -1,0 +1,1 @@
+"""The live nodes: what needs rclpy's middleware."""

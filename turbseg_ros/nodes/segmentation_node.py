@@ -1,0 +1,192 @@
+"""The live node: images in, masks, markers and diagnostics out."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.clock import Clock, ClockType, JumpThreshold, TimeJump
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+from std_srvs.srv import SetBool, Trigger
+
+from turbseg_ros.factory import motion_segmenter
+from turbseg_ros.messages.images import frame_from_serialised
+from turbseg_ros.messages.results import CentroidMarkers, UnitDepthPlane, outputs, views
+from turbseg_ros.nodes.diagnostics import Event, NodeState, Statistics, status_message
+from turbseg_ros.nodes.parameters import ParameterHandler
+from turbseg_ros.nodes.publishers import ResultPublisher
+from turbseg_ros.nodes.subscription import MatchingSubscription
+from turbseg_ros.nodes.worker import SegmentationWorker
+from turbseg_ros.parameters import ParameterError, Parameters
+from turbseg_ros.segmentation.frame import Frame
+
+_DIAGNOSTICS_PERIOD = 1.0
+# A camera that offers less than is asked for goes unheard until its offer is looked at.
+_MATCH_PERIOD = 0.2
+# Messages that may wait in the middleware. There nobody counts what a full queue drops, so a short
+# stall of this process must not fill it.
+_MIN_DEPTH = 10
+# Seconds that listeners get for the last results when the node ends.
+_FAREWELL = 1.0
+# A clock that is set back by less is being adjusted; by more, a bag begins again.
+_CLOCK_JUMP = JumpThreshold(
+    min_forward=None, min_backward=Duration(seconds=-0.1), on_clock_change=False
+)
+
+
+class TurbsegNode(Node):  # type: ignore[misc]  # rclpy is read as untyped
+    """Segments what really moves before a camera that looks through turbulent air.
+
+    Subscribes to `image_raw` and, if there is one, `camera_info`; publishes results below its
+    own name and `/diagnostics`; serves `~/reset` and `~/enable`. Callbacks only take note: images
+    are received in one thread and segmented in another, which `destroy_node` ends.
+
+    :raises ParameterError: when a parameter that it was started with is refused, or fits recorded
+        clips only.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("turbseg", automatically_declare_parameters_from_overrides=True)
+        self._parameter_handler = ParameterHandler(self, on_change=self._on_parameters)
+        parameters = self._parameter_handler.current
+        _refuse_whole_clip(parameters)
+
+        compressed = parameters.image_transport == "compressed"
+        self._image_type: type[Any] = CompressedImage if compressed else Image
+        self._statistics = Statistics()
+        self._markers = CentroidMarkers()
+        self._results = ResultPublisher(
+            self, (*outputs(parameters.max_objects, self._markers), *views())
+        )
+        self._segmenter = motion_segmenter(parameters)
+        self._worker = SegmentationWorker(
+            self._segmenter,
+            convert=self._frame,
+            publish=self._results.publish,
+            now=lambda: self.get_clock().now().nanoseconds,
+            statistics=self._statistics,
+            logger=self.get_logger(),
+            queue_size=parameters.queue_size,
+        )
+        self._images: MatchingSubscription | None = self._subscribe()
+        self.create_subscription(
+            CameraInfo, "camera_info", self._on_camera_info, qos_profile_sensor_data
+        )
+        self.create_service(Trigger, "~/reset", self._on_reset)
+        self.create_service(SetBool, "~/enable", self._on_enable)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        # These go on when the time of /clock stands still.
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(_DIAGNOSTICS_PERIOD, self._publish_diagnostics, clock=steady)
+        self.create_timer(_MATCH_PERIOD, self._match_publishers, clock=steady)
+        self._clock_jumps = self.get_clock().create_jump_callback(
+            _CLOCK_JUMP, post_callback=self._on_clock_jump
+        )
+        self._worker.start()
+
+    def destroy_node(self) -> None:
+        """Answer the frames at hand, then take the node out of the graph."""
+        try:
+            if self._images is not None:
+                self._images.destroy()
+        finally:
+            self._worker.stop()
+            # What a busy listener has not got by now would go with the publishers.
+            self._results.wait_until_received(_FAREWELL)
+            super().destroy_node()
+
+    def _subscribe(self) -> MatchingSubscription:
+        parameters = self._parameter_handler.current
+        # Resolved first, so that remapping image_raw moves the compressed topic along.
+        topic = self.resolve_topic_name("image_raw")
+        if self._image_type is CompressedImage:
+            topic = f"{topic}/compressed"
+        return MatchingSubscription(
+            self,
+            self._image_type,
+            topic,
+            self._worker.submit,
+            depth=max(parameters.queue_size, _MIN_DEPTH),
+            reliability=parameters.qos.reliability,
+            on_lost=lambda count: self._statistics.count(Event.LOST, count),
+        )
+
+    def _frame(self, serialised: memoryview) -> Frame:
+        frame = frame_from_serialised(serialised, self._image_type)
+        return dataclasses.replace(frame, image_wanted=self._results.image_wanted)
+
+    def _on_parameters(self, before: Parameters, after: Parameters) -> None:
+        changed = after.as_mapping().items() - before.as_mapping().items()
+        for name, value in sorted(changed):
+            self.get_logger().info(f"{name} is now {value}")
+        # What only the node itself reads leaves the window as it is.
+        if dataclasses.replace(after, diagnostics=before.diagnostics) != before:
+            self._worker.reconfigure(after)
+
+    def _on_camera_info(self, camera_info: CameraInfo) -> None:
+        try:
+            self._markers.plane = UnitDepthPlane.from_camera_info(camera_info)
+        except ValueError as error:
+            self.get_logger().warning(f"markers stay in pixels: {error}", once=True)
+
+    def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._worker.restart("reset was called")
+        response.success = True
+        response.message = "the window and all tracks are cleared"
+        return response
+
+    def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        if request.data and self._images is None:
+            self._images = self._subscribe()
+        elif not request.data and self._images is not None:
+            # Nothing is left to receive, so a disabled node costs no network either.
+            self._images.destroy()
+            self._images = None
+        response.success = True
+        response.message = "enabled" if request.data else "disabled"
+        return response
+
+    def _on_clock_jump(self, jump: TimeJump) -> None:
+        # Cameras need not follow /clock, and images from before the jump may still wait: their
+        # stamps tell when the stream really begins anew.
+        self.get_logger().info(f"/clock jumped by {jump.delta.nanoseconds / 1e9:.3f} s")
+
+    def _match_publishers(self) -> None:
+        if self._images is not None:
+            self._images.match()
+
+    def _publish_diagnostics(self) -> None:
+        message = DiagnosticArray()
+        message.header.stamp = self.get_clock().now().to_msg()
+        message.status = [
+            status_message(self.get_fully_qualified_name(), self._statistics.take(), self._state())
+        ]
+        self._diagnostics.publish(message)
+
+    def _state(self) -> NodeState:
+        images, parameters = self._images, self._parameter_handler.current
+        return NodeState(
+            topic=images.topic if images else "",
+            enabled=images is not None,
+            publishers=images.publisher_count if images else 0,
+            reliability=images.reliability.name.lower() if images else "",
+            patience=self._worker.patience,
+            limits=parameters.diagnostics,
+            has_time=self.get_clock().now().nanoseconds > 0,
+            latency_mode=parameters.latency.mode,
+            look_ahead=self._segmenter.look_ahead,
+            waiting=self._worker.waiting,
+            device=self._segmenter.device,
+        )
+
+
+def _refuse_whole_clip(parameters: Parameters) -> None:
+    if parameters.tracking.mode == "kmeans":
+        raise ParameterError(
+            "parameter tracking.mode is kmeans, which needs the whole clip before it answers; "
+            "set -p tracking.mode:=kalman, or segment a recorded bag with turbseg_replay"
+        )

@@ -1,1 +1,0 @@
-"""The live node and its messages."""

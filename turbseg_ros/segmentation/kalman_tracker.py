@@ -1,0 +1,270 @@
+"""Which object of this frame is which of the frames before, live: ids that stay."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import linear_sum_assignment
+
+from turbseg_ros.segmentation.cropped_mask import CroppedMask
+from turbseg_ros.segmentation.track import (
+    SHAPE_SPAN,
+    Detection,
+    Observation,
+    Track,
+    Tracker,
+    divided_among,
+    joined,
+)
+
+Matrix = npt.NDArray[np.float64]
+Point = npt.NDArray[np.float64]
+
+_UNMATCHABLE = 1e6
+# How far a centroid may stray from its prediction, in diagonals of the object.
+_REACH = 0.6
+# Share of a detection that must lie where an object is expected for it to be a part of it.
+_PART = 0.5
+# Share of an object's expected mask that must lie in a detection for the detection to hold it.
+_HELD = 0.5
+# Share of the way its flow claims that a track must really have come to become an object: the
+# middle of what enters the picture comes half of it.
+_HONESTY = 0.35
+# Least IoU of a mask with the one before, moved along, on average over the frames of confirmation
+# and, for an object, over a longer span: leaves and waves change their shape all the time.
+_LIKE = 0.4
+# Frames for which the place of one that got nowhere is remembered.
+_RESTLESS_SPAN = 300
+
+
+@dataclass(frozen=True)
+class _Place:
+    """A place where something moved and got nowhere: its middle (x, y) and its radius."""
+
+    middle: Point
+    radius: float
+    age: int = 0
+
+    def holds(self, point: Point) -> bool:
+        return float(np.linalg.norm(point - self.middle)) < self.radius
+
+    def propagated(self, ego_motion: Matrix) -> _Place:
+        middle = ego_motion[:2, :2] @ self.middle + ego_motion[:2, 2]
+        return _Place(middle, self.radius, self.age + 1)
+
+
+class KalmanTracker:
+    """Constant-velocity Kalman filters, matched to detections by the Hungarian method.
+
+    A track becomes an object once it was seen often enough and has travelled: what shimmers or
+    sways on the spot does not. It keeps its id and slot until it has been lost for `patience`
+    frames. Ids count up and are never used again.
+    """
+
+    def __init__(
+        self, confirmation: int, travel: float, patience: int, slots: int, every: int = 1
+    ) -> None:
+        """Set up a tracker without tracks.
+
+        :param confirmation: frames in which a track must be seen to become an object.
+        :param travel: distance in pixels that it must have come, plus twice the tilt.
+        :param patience: frames that an object may be lost, or stand still, before it ends.
+        :param slots: number of output slots.
+        :param every: every how many frames motion is measured; only then it may become an object.
+        """
+        self._every = every
+        self._confirmation = confirmation
+        self._travel = travel
+        self._patience = patience
+        self._free_slots = list(range(slots))
+        self._tracks: list[Track] = []
+        self._restless: list[_Place] = []
+        self._next_id = 1
+
+    @property
+    def delay(self) -> int:
+        """Frames until a track that is seen in each of them is confirmed."""
+        return self._confirmation - 1 + self._every - 1
+
+    @property
+    def next_id(self) -> int:
+        """The id that the next object will get."""
+        return self._next_id
+
+    def continue_ids(self, other: Tracker) -> None:
+        """Go on counting where another one stands."""
+        self._next_id = other.next_id
+
+    def settle(self) -> None:
+        """Leave what isn't confirmed unconfirmed."""
+
+    def reset(self) -> None:
+        """End all tracks; ids go on."""
+        for track in self._tracks:
+            self._end(track)
+        self._tracks = []
+        self._restless = []
+
+    def expected_outlines(self, ego_motion: Matrix, shape: tuple[int, int]) -> list[CroppedMask]:
+        """Return where each object should be in the coming frame of some shape.
+
+        :param ego_motion: takes the last frame's pixels to the coming one's.
+        """
+        return [
+            track.expected(ego_motion, shape).outline for track in self._tracks if track.confirmed
+        ]
+
+    def update(
+        self, detections: Sequence[Detection], ego_motion: Matrix, tilt: float
+    ) -> list[Observation]:
+        """Match a frame's detections to the tracks, and start tracks for the others.
+
+        :param ego_motion: takes the last frame's pixels to this one's.
+        :param tilt: rms turbulent motion an axis in pixels.
+        :return: an observation for each track seen in this frame.
+        """
+        for track in self._tracks:
+            track.carry(ego_motion)
+        self._carry_places(ego_motion)
+        detections = self._reunited(self._divided(detections))
+        matched = self._match(detections, tilt)
+        observations = []
+        for index, detection in enumerate(detections):
+            known = matched.get(index)
+            if known is None:
+                track = Track.started(detection, tilt)
+                self._tracks.append(track)
+            else:
+                track = known
+                track.correct(detection)
+            self._confirm(track, tilt)
+            observations.append(track.observed(track.detection))
+        seen = {id(observation.track) for observation in observations}
+        for track in self._tracks:
+            track.misses = 0 if id(track) in seen else track.misses + 1
+        self._drop_lost()
+        return observations
+
+    def coast(self, ego_motion: Matrix, shape: tuple[int, int]) -> list[Observation]:
+        """Carry all tracks along into a frame of some shape in which nothing is looked for.
+
+        :param ego_motion: takes the last frame's pixels to this one's.
+        :return: an observation for each track that was seen when last looked for.
+        """
+        coasted = [(track, track.coast(ego_motion, shape)) for track in self._tracks]
+        self._carry_places(ego_motion)
+        return [
+            track.observed(detection)
+            for track, detection in coasted
+            if track.misses == 0 and detection.area
+        ]
+
+    def _carry_places(self, ego_motion: Matrix) -> None:
+        self._restless = [
+            place.propagated(ego_motion) for place in self._restless if place.age < _RESTLESS_SPAN
+        ]
+
+    def _divided(self, detections: Sequence[Detection]) -> list[Detection]:
+        """Split detections that hold several objects, say one that passes before another.
+
+        Each pixel goes to the object whose expected mask is nearest.
+        """
+        objects = [track for track in self._tracks if track.confirmed]
+        result: list[Detection] = []
+        for detection in detections:
+            held = [
+                track
+                for track in objects
+                if track.intersection_area(detection) > _HELD * track.detection.area
+            ]
+            result += [detection] if len(held) < 2 else divided_among(detection, held)
+        return result
+
+    def _reunited(self, detections: Sequence[Detection]) -> list[Detection]:
+        """Join detections that are parts of one object, say on both sides of a pole.
+
+        A part lies mostly where one object is expected, and on no other more.
+        """
+        objects = [track for track in self._tracks if track.confirmed]
+        parts: dict[int, list[Detection]] = {}
+        result = []
+        for detection in detections:
+            shares = [track.intersection_area(detection) / detection.area for track in objects]
+            if shares and max(shares) > _PART:
+                parts.setdefault(int(np.argmax(shares)), []).append(detection)
+            else:
+                result.append(detection)
+        return result + [joined(members) for members in parts.values()]
+
+    def _match(self, detections: Sequence[Detection], tilt: float) -> dict[int, Track]:
+        """Return each detection's track by the detection's number; objects choose first.
+
+        Else what an object was split into for a frame would take its place.
+        """
+        matched: dict[int, Track] = {}
+        for confirmed in (True, False):
+            tracks = [track for track in self._tracks if track.confirmed == confirmed]
+            left = [number for number in range(len(detections)) if number not in matched]
+            if not tracks or not left:
+                continue
+            cost = np.array(
+                [[_cost(track, detections[number], tilt) for number in left] for track in tracks]
+            )
+            for row, column in zip(*linear_sum_assignment(cost), strict=True):
+                if cost[row, column] < _UNMATCHABLE:
+                    matched[left[column]] = tracks[row]
+        return matched
+
+    def _confirm(self, track: Track, tilt: float) -> None:
+        if track.confirmed or track.hits < self._confirmation or not track.detection.moving:
+            return
+        if not track.keeps_shape(max(self._confirmation - 1, 1), _LIKE):
+            return
+        travelled = float(np.linalg.norm(track.position - track.birthplace))
+        wanted = max(self._travel + 2.0 * tilt, _HONESTY * sum(track.claims))
+        if any(place.holds(track.birthplace) for place in self._restless):
+            wanted = max(wanted, track.size)
+        if travelled < wanted:
+            return
+        track.confirmed = True
+        track.id = self._next_id
+        self._next_id += 1
+        if self._free_slots:
+            track.slot = self._free_slots.pop(0)
+
+    def _drop_lost(self) -> None:
+        restless = [track for track in self._tracks if track.gets_nowhere()]
+        self._restless += [_Place(track.position, track.size) for track in restless]
+        lost = [
+            track
+            for track in self._tracks
+            if track.misses > (self._patience if track.confirmed else 1)
+            or track.still > self._patience
+            or track in restless
+            or not track.keeps_shape(SHAPE_SPAN, _LIKE, known=SHAPE_SPAN)
+        ]
+        for track in lost:
+            self._end(track)
+        self._tracks = [track for track in self._tracks if track not in lost]
+
+    def _end(self, track: Track) -> None:
+        if track.slot >= 0:
+            self._free_slots = sorted([*self._free_slots, track.slot])
+
+
+def _cost(track: Track, detection: Detection, tilt: float) -> float:
+    height, width = track.detection.box.shape
+    other_height, other_width = detection.box.shape
+    diagonal = max(float(np.hypot(height, width)), float(np.hypot(other_height, other_width)))
+    reach = _REACH * diagonal + 3.0 * tilt + 2.0
+    distance = float(np.linalg.norm(detection.centroid - track.position))
+    if distance > reach:
+        return _UNMATCHABLE
+    size = track.detection.area, detection.area
+    change_of_size = float(np.log(max(size) / max(min(size), 1)))
+    turn = float(np.hypot(*np.subtract(detection.velocity, track.velocity)))
+    speed = max(float(np.hypot(*detection.velocity)), float(np.hypot(*track.velocity)), 0.5)
+    return distance / reach + 0.25 * change_of_size + 0.25 * min(turn / speed, 2.0)
