@@ -94,7 +94,8 @@ def test_limits_belong_to_the_range() -> None:
 
 def test_a_choice_that_is_not_offered_is_refused_with_those_that_are() -> None:
     with pytest.raises(
-        ParameterError, match=r"tracking\.mode is one of kalman, kmeans, not 'sort'"
+        ParameterError,
+        match=r"tracking\.mode is one of kalman, kmeans, or package.module:Class, not 'sort'",
     ):
         Parameters.from_mapping({"tracking.mode": "sort"})
 

@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 
 from support.drawn_scene import DrawnScene
+from support.segmenters import segmenter_by_rules
 from turbseg_ros.evaluation.benchmark import YARDSTICK_SIZE, endless
 from turbseg_ros.parameters import Parameters
 from turbseg_ros.segmentation.frame import Frame, SegmentationResult
-from turbseg_ros.segmentation.pipeline import MotionSegmenter
+from turbseg_ros.segmentation.motion_segmenter import MotionSegmenter
 
 SIZE = (1920, 1080)
 # Two of the periods in which motion is measured once.
@@ -42,7 +43,7 @@ def test_a_full_hd_frame_takes_no_more_than_so_many_flows() -> None:
     greys = [cv2.resize(image[..., 0], YARDSTICK_SIZE) for image in clip]
     dis = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     # No frames pile up at the beginning, whose results would have to be caught up with.
-    segmenter = MotionSegmenter(Parameters().replace({"latency.warm_up": 0}))
+    segmenter = segmenter_by_rules(Parameters().replace({"latency.warm_up": 0}))
     frames = endless(clip, SIZE, rate_hz=30.0)
     for frame in itertools.islice(frames, WARM_UP):
         segmenter.push(frame)

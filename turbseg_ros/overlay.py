@@ -14,7 +14,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from turbseg_ros.segmentation.frame import Image, MovingObject, SegmentationResult
+from turbseg_ros.arrays import Image
+from turbseg_ros.segmentation.frame import MovingObject, SegmentationResult
 from turbseg_ros.segmentation.tone import ToneMap
 
 Labels = npt.NDArray[np.integer[Any]]

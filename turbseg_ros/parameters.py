@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
@@ -18,6 +19,10 @@ T = TypeVar("T")
 
 # Names every ROS node has, which are the middleware's business and not ours.
 _MIDDLEWARE_NAMES = ("use_sim_time", "qos_overrides", "start_type_description_service")
+
+
+# Names a class of the user's own: package.module:Class.
+_CLASS_NAME = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 
 
 class ParameterError(ValueError):
@@ -40,6 +45,7 @@ class Declaration:
     maximum: float | None = None
     choices: tuple[str, ...] = ()
     read_only: bool = False
+    extensible: bool = False
 
     @property
     def type(self) -> type[Value]:
@@ -60,9 +66,10 @@ class Declaration:
             raise ParameterError(
                 f"parameter {self.name} takes {_article(self.type)}, not {value!r}"
             )
-        if self.choices and value not in self.choices:
+        if self.choices and value not in self.choices and not self._names_class(value):
+            own = ", or package.module:Class" if self.extensible else ""
             raise ParameterError(
-                f"parameter {self.name} is one of {', '.join(self.choices)}, not {value!r}"
+                f"parameter {self.name} is one of {', '.join(self.choices)}{own}, not {value!r}"
             )
         if isinstance(value, (int, float)) and not isinstance(value, bool):
             low, high = self.minimum, self.maximum
@@ -72,6 +79,10 @@ class Declaration:
                     f"parameter {self.name} lies between {low} and {high}, not at {value}"
                 )
         return value
+
+    def _names_class(self, value: object) -> bool:
+        """Whether it names a class of the user's own, where one may stand in for the choices."""
+        return self.extensible and bool(_CLASS_NAME.fullmatch(str(value)))
 
 
 def parameter(
@@ -83,8 +94,12 @@ def parameter(
     maximum: float | None = None,
     choices: tuple[str, ...] = (),
     read_only: bool = False,
+    extensible: bool = False,
 ) -> T:
-    """Declare a dataclass field as a parameter."""
+    """Declare a dataclass field as a parameter.
+
+    :param extensible: whether `package.module:Class` may stand in for one of the choices.
+    """
     declared: T = field(
         default=default,
         metadata={
@@ -94,6 +109,7 @@ def parameter(
             "maximum": maximum,
             "choices": choices,
             "read_only": read_only,
+            "extensible": extensible,
         },
     )
     return declared
@@ -168,6 +184,7 @@ class FlowParameters:
         "torch and torchvision.",
         choices=("dis", "raft_small", "raft_large"),
         read_only=True,
+        extensible=True,
     )
     weights: str = parameter(
         "",
@@ -196,6 +213,7 @@ class FlowParameters:
         "slope: fit the velocity to the flows at ±B and -3B; mean: the paper's eq. 1, ±1 to ±B.",
         choices=("slope", "mean"),
         read_only=True,
+        extensible=True,
     )
     variational_iterations: int = parameter(
         1,
@@ -215,6 +233,7 @@ class MotionParameters:
         "fundamental matrix, the paper's eq. 2; none: the flow as it is.",
         choices=("affine", "sampson", "none"),
         read_only=True,
+        extensible=True,
     )
 
 
@@ -248,6 +267,7 @@ class GrowingParameters:
         "velocity: pixels that share the seed's velocity; magnitude: its speed, as in eq. 3.",
         choices=("velocity", "magnitude"),
         read_only=True,
+        extensible=True,
     )
     delta: float = parameter(
         0.6,
@@ -266,6 +286,7 @@ class OutlineParameters:
         "background: what stands out from the median of other frames; none: the grown region.",
         choices=("background", "none"),
         read_only=True,
+        extensible=True,
     )
     threshold: float = parameter(
         2.5,
@@ -302,6 +323,7 @@ class RefineParameters:
         "(turbseg_replay and turbseg_evaluate only).",
         choices=("none", "pretrained", "optimise"),
         read_only=True,
+        extensible=True,
     )
     epochs: int = parameter(
         25,
@@ -326,6 +348,7 @@ class TrackingParameters:
         "kalman: live; kmeans: the paper's, which needs the whole clip (turbseg_replay only).",
         choices=("kalman", "kmeans"),
         read_only=True,
+        extensible=True,
     )
     confirmation: int = parameter(
         4,
@@ -434,6 +457,19 @@ class Parameters:
     qos: QosParameters = field(default_factory=QosParameters)
     diagnostics: DiagnosticsParameters = field(default_factory=DiagnosticsParameters)
 
+    @property
+    def is_causal(self) -> bool:
+        """Whether a frame is compared with earlier ones only."""
+        return self.latency.mode == "causal"
+
+    @property
+    def segmentation_look_ahead(self) -> int:
+        """Frames that must follow a frame before it is segmented.
+
+        They are its own neighbours and those of the frame measured next, which is then worked on.
+        """
+        return 0 if self.is_causal else self.flow.interval + self.flow.every
+
     @classmethod
     def from_mapping(cls, values: Mapping[str, object]) -> Parameters:
         """Build parameters from `{"flow.interval": 4, ...}`; what is not named has its default.
@@ -478,7 +514,7 @@ def markdown_table() -> str:
     rows = ["| parameter | default | range | what it is |", "| --- | --- | --- | --- |"]
     for declared in declarations():
         if declared.choices:
-            limits = ", ".join(declared.choices)
+            limits = ", ".join(declared.choices) + ", or a class" * declared.extensible
         elif declared.minimum is not None and declared.maximum is not None:
             limits = f"{declared.minimum:g} to {declared.maximum:g}"
         else:

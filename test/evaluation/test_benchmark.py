@@ -12,13 +12,13 @@ from support.drawn_scene import DrawnScene
 from turbseg_ros.cli import benchmark as executable
 from turbseg_ros.evaluation.baselines import BackgroundSubtraction, TurbsegMethod
 from turbseg_ros.evaluation.benchmark import (
-    STAGES,
     StageClock,
     endless,
     footprint,
     measure,
 )
 from turbseg_ros.parameters import Parameters
+from turbseg_ros.segmentation.observer import STAGES
 
 SMALL = Parameters().replace(
     {"resolution.processing": 160, "resolution.detail": 160, "latency.warm_up": 0}
@@ -30,12 +30,8 @@ class Rendered:
     image: np.ndarray
 
 
-def outer() -> int:
-    return inner() + inner()
-
-
-def inner() -> int:
-    return sum(range(50_000))
+def work() -> None:
+    sum(range(50_000))
 
 
 def drawn_frames(count):
@@ -62,26 +58,26 @@ def test_a_clip_is_cut_to_another_shape_without_being_stretched(size):
     assert across.mean() == pytest.approx(down.mean(), rel=0.05)
 
 
-def test_the_clock_tells_a_function_from_those_it_calls():
-    name = __name__
+def test_the_clock_tells_a_stage_from_those_within_it():
     clock = StageClock()
-    with clock.watching({"outer": f"{name}.outer", "inner": f"{name}.inner"}):
-        sys.modules[name].outer()
+    clock.running = True
+    with clock.stage("outer"), clock.stage("inner"):
+        work()
     assert clock.seconds["inner"] > 4 * clock.seconds["outer"] > 0.0
-    sys.modules[name].outer()
-    assert set(clock.seconds) == {"outer", "inner"}
 
 
-def test_the_clock_passes_results_and_errors_on():
-    def failing() -> None:
-        raise ValueError("as it was")
-
+def test_the_clock_counts_only_while_it_runs():
     clock = StageClock()
-    module = sys.modules[__name__]
-    with clock.watching({"inner": f"{__name__}.inner"}):
-        assert module.inner() == sum(range(50_000))
-    with pytest.raises(ValueError, match="as it was"):
-        clock._watched("failing", failing)()
+    with clock.stage("idle"):
+        work()
+    assert not clock.seconds
+
+
+def test_the_clock_lets_errors_pass_and_counts_their_stage():
+    clock = StageClock()
+    clock.running = True
+    with pytest.raises(ValueError, match="as it was"), clock.stage("failing"):
+        raise ValueError("as it was")
     assert clock.seconds["failing"] > 0.0
 
 

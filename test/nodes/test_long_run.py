@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from support.drawn_scene import ByteImage, texture
+from support.segmenters import segmenter_by_rules
 from turbseg_ros.parameters import Parameters
 from turbseg_ros.segmentation.frame import Frame
-from turbseg_ros.segmentation.pipeline import MotionSegmenter
 
 SHAPE = (64, 96)
 SMALL = SHAPE[::-1]
@@ -59,7 +59,7 @@ def resident_bytes() -> int:
 def test_memory_and_time_a_frame_stay_flat(
     count: int, blocks: int, size: tuple[int, int], processing: int
 ) -> None:
-    segmenter = MotionSegmenter(Parameters.from_mapping({"resolution.processing": processing}))
+    segmenter = segmenter_by_rules(Parameters.from_mapping({"resolution.processing": processing}))
     memory, pace, answered, highest = [], [], 0, 0
     begun = time.process_time()
     for number, frame in enumerate(frames(count, size), start=1):

@@ -19,6 +19,7 @@ from builtin_interfaces.msg import Time
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import CompressedImage, Image
 
+from support.segmenters import segmenter_by_rules
 from turbseg_ros.messages.images import (
     ImageConversionError,
     frame_from_message,
@@ -31,7 +32,6 @@ from turbseg_ros.nodes.diagnostics import Event, Statistics
 from turbseg_ros.nodes.worker import SegmentationWorker
 from turbseg_ros.parameters import Parameters
 from turbseg_ros.segmentation.frame import Frame, SegmentationResult
-from turbseg_ros.segmentation.pipeline import MotionSegmenter
 
 PARAMETERS = Parameters.from_mapping({"resolution.processing": 64, "resolution.detail": 64})
 ENCODINGS = (
@@ -179,7 +179,7 @@ def test_every_valid_message_is_answered_once_and_every_other_is_counted(count: 
         answered.append(result.frame.stamp)
 
     worker = SegmentationWorker(
-        MotionSegmenter(PARAMETERS),
+        segmenter_by_rules(PARAMETERS),
         convert=convert,
         publish=publish,
         now=lambda: 0,
@@ -223,7 +223,7 @@ def test_every_valid_message_is_answered_once_and_every_other_is_counted(count: 
 def test_a_frame_from_one_pixel_to_8k_is_answered(size: tuple[int, int], encoding: str) -> None:
     image = np.zeros(size, np.uint16) if encoding == "mono16" else np.zeros((*size, 3), np.uint8)
     image[::2] = 3
-    segmenter = MotionSegmenter(PARAMETERS)
+    segmenter = segmenter_by_rules(PARAMETERS)
     results = []
     for stamp in range(2):
         results += segmenter.push(frame_from_message(message_from_image(image, encoding, stamp)))

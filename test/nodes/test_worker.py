@@ -37,7 +37,7 @@ class DelayedSegmenter:
         self._window.append(frame)
         return [result_of(self._window.pop(0))] if len(self._window) > self.delay else []
 
-    def flush(self):
+    def flush(self, waiting=0):
         results = [result_of(frame) for frame in self._window]
         self._window = []
         return results
@@ -48,6 +48,12 @@ class DelayedSegmenter:
 
     def reconfigure(self, parameters):
         self.calls.append(parameters)
+
+    def empty_result(self, frame):
+        return SegmentationResult.empty(frame, (2, 2))
+
+    def close(self):
+        self.calls.append("close")
 
 
 class RecordingLogger:

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 
 from support.drawn_clip import PAPER, PARAMETERS, SHAPE, assert_sound, segmented, stamps
 from support.drawn_scene import ByteImage, DrawnScene, jaccard, texture
+from support.segmenters import segmenter_by_rules
 from turbseg_ros.parameters import Parameters
 from turbseg_ros.segmentation.frame import Frame, SegmentationResult
-from turbseg_ros.segmentation.pipeline import MotionSegmenter
-from turbseg_ros.segmentation.window import Resolution
+from turbseg_ros.segmentation.resolution import Resolution
 
 CAUSAL = PARAMETERS.replace({"latency.mode": "causal"})
 SLOW = DrawnScene(velocity=(1, 0), start=(10, 36))
@@ -169,8 +169,8 @@ def test_no_shape_of_picture_costs_more_than_any_other(
 
 
 def test_the_65536th_object_gets_label_1_again_and_its_own_id() -> None:
-    segmenter = MotionSegmenter(PARAMETERS)
-    segmenter._tracker._next_id = 65_535
+    segmenter = segmenter_by_rules(PARAMETERS)
+    segmenter._strategies.tracker._next_id = 65_535
     results: list[SegmentationResult] = []
     for part in range(2):
         for number, image in enumerate(DrawnScene().images(20)):

@@ -69,7 +69,7 @@ def area_around(*objects: Mask, margin: int = 7) -> MovingArea:
 
 def cut_out(image: np.ndarray, areas: list[MovingArea], views: list[AlignedFrame]) -> list[Mask]:
     """The outlines' masks, each of the whole frame."""
-    windows = object_crops(image, areas, views, STILL, TILT, stamp=0)
+    windows = object_crops(image, areas, views, STILL, TILT)
     return [outline.in_frame(SHAPE) for outline in foreground_masks(windows, THRESHOLD)]
 
 
@@ -250,7 +250,7 @@ def test_the_motion_of_a_window_lies_where_the_picture_does() -> None:
     motion_map[15:27, 30:48] = 3.0
     moved = dataclasses.replace(STILL, motion_map=motion_map, noise=np.full((48, 80), 0.5, "f4"))
     image = ground_of(1)
-    (window,) = object_crops(image, [area_around(CAR)], still_views(image), moved, TILT, stamp=7)
-    assert (window.stamp, window.motion.max()) == (7, 6.0)
+    (window,) = object_crops(image, [area_around(CAR)], still_views(image), moved, TILT)
+    assert window.motion.max() == 6.0
     expected = CAR[window.box.slices]
     assert jaccard(window.motion > 3.0, expected) > 0.98

@@ -9,34 +9,34 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from turbseg_ros.segmentation.average import Average, MeanAverage, SlopeAverage
 from turbseg_ros.segmentation.geometry import affine_flow, pixel_grid, sampson_distance
 from turbseg_ros.segmentation.motion import (
-    Average,
+    AffineMotion,
     MotionEstimate,
-    affine_motions,
+    UncheckedMotion,
     agree,
-    mean_velocity,
     measured_tilt,
     merged,
     next_interval,
     sampson_motion,
-    slope_velocity,
-    unchecked_motions,
 )
 
 SHAPE = (96, 160)
 CENTRED = (-4, -2, 2, 4)
 OBJECT = (slice(30, 60), slice(40, 90))
 PAN = np.array([[3.0, -2.0], [0.01, 0.002], [-0.003, 0.008]])
+SLOPE, MEAN = SlopeAverage(), MeanAverage(widest=4)
 PAPER_SETS = [(2, -2), (3, -3), (4, -4), (1, -1, 2, -2), (2, -2, 3, -3)]
 
 
 def affine_motion(
     flows: dict[int, np.ndarray],
     weights: dict[int, np.ndarray],
-    average: Average = slope_velocity,
+    average: Average = SLOPE,
 ) -> MotionEstimate:
-    (motion,) = affine_motions(flows, weights, [list(flows)], average)
+    """Measure over one baseline: all the intervals."""
+    (motion,) = AffineMotion(average).motions(flows, weights, max(map(abs, flows)))
     return motion
 
 
@@ -144,7 +144,7 @@ def test_velocity_is_less_certain_where_fewer_frames_see_it() -> None:
     assert motion.noise[:, 100:].min() > 1.2 * motion.noise[:, :100].max()
 
 
-@pytest.mark.parametrize("average", [slope_velocity, mean_velocity])
+@pytest.mark.parametrize("average", [SLOPE, MEAN])
 def test_an_average_states_its_own_error(average: Average) -> None:
     rng = np.random.default_rng(0)
     flows = {i: rng.standard_normal((*SHAPE, 2)).astype(np.float32) for i in CENTRED}
@@ -155,9 +155,9 @@ def test_an_average_states_its_own_error(average: Average) -> None:
         assert velocity[part].std() == pytest.approx(float(error[part].mean()), rel=0.05)
 
 
-def test_each_span_of_intervals_gives_the_motion_that_its_flows_alone_give() -> None:
+def test_each_baseline_gives_the_motion_that_its_flows_alone_give() -> None:
     flows, weights, near = scene_flows(CENTRED), everywhere(CENTRED), (-2, 2)
-    short, long = affine_motions(flows, weights, [near, CENTRED])
+    short, long = AffineMotion(SLOPE).motions(flows, weights, interval=1)
     alone = affine_motion({i: flows[i] for i in near}, {i: weights[i] for i in near})
     np.testing.assert_array_equal(short.velocity, alone.velocity)
     np.testing.assert_array_equal(long.velocity, affine_motion(flows, weights).velocity)
@@ -165,7 +165,7 @@ def test_each_span_of_intervals_gives_the_motion_that_its_flows_alone_give() -> 
 
 def test_the_mean_is_that_of_the_flows_a_frame() -> None:
     intervals = (-2, -1, 1, 2)
-    motion = affine_motion(scene_flows(intervals), everywhere(intervals), mean_velocity)
+    motion = affine_motion(scene_flows(intervals), everywhere(intervals), MEAN)
     fitted = affine_motion(scene_flows(intervals), everywhere(intervals))
     np.testing.assert_allclose(
         np.median(motion.velocity[OBJECT], axis=(0, 1)), (1.5, -0.5), atol=0.05
@@ -174,7 +174,7 @@ def test_the_mean_is_that_of_the_flows_a_frame() -> None:
 
 
 def test_unchecked_motion_keeps_the_motion_of_the_camera() -> None:
-    (motion,) = unchecked_motions(scene_flows(CENTRED), everywhere(CENTRED), [CENTRED])
+    (motion,) = UncheckedMotion(MEAN).motions(scene_flows(CENTRED), everywhere(CENTRED), 4)
     still = np.ones(SHAPE, bool)
     still[OBJECT] = False
     error = np.abs(motion.velocity - affine_flow(PAN, SHAPE))[still]

@@ -8,17 +8,28 @@ import numpy as np
 import pytest
 
 from support.drawn_scene import jaccard
-from turbseg_ros.parameters import Parameters
 from turbseg_ros.segmentation.geometry import translation
 from turbseg_ros.segmentation.motion import MotionEstimate
 from turbseg_ros.segmentation.moving import Moving, propagated, what_moves
-from turbseg_ros.segmentation.window import Resolution
+from turbseg_ros.segmentation.region_growing import (
+    Region,
+    grow_regions,
+    seed_strength,
+    similar_velocity,
+)
+from turbseg_ros.segmentation.resolution import Resolution
 
 SHAPE = (90, 160)
 # Outlines are drawn at twice the resolution of the flow.
 RESOLUTION = Resolution(input=(320, 180), processing=(160, 90), detail=(320, 180))
 DETAIL = (180, 320)
-PARAMETERS = Parameters()
+
+
+def grow(motion: MotionEstimate, taken: np.ndarray) -> list[Region]:
+    strength = seed_strength(motion, 9, 5.0, 0.5)
+    return grow_regions(motion, strength, 9, 0.6, similar_velocity, 12, taken)
+
+
 VELOCITY = (3.0, -1.0)
 
 
@@ -39,7 +50,7 @@ def estimate(mask: np.ndarray, velocity: tuple[float, float] = VELOCITY) -> Moti
 
 @pytest.fixture
 def moving() -> Moving:
-    return what_moves([estimate(square())], PARAMETERS, RESOLUTION.detail)
+    return what_moves([estimate(square())], grow, RESOLUTION.detail)
 
 
 def test_what_moves_is_a_region_and_an_area_around_it(moving: Moving) -> None:
@@ -58,7 +69,7 @@ def test_over_a_long_time_what_is_slower_is_added(moving: Moving) -> None:
     field = long.velocity.copy()
     field[slow] = (0.1, 0.0)
     long = replace(long, velocity=field, motion_map=np.linalg.norm(field, axis=2))
-    both = what_moves([short, long], PARAMETERS, RESOLUTION.detail)
+    both = what_moves([short, long], grow, RESOLUTION.detail)
     assert len(both.regions) == len(moving.regions) + 1
     assert jaccard(both.regions[-1].outline.in_frame(SHAPE), slow) > 0.8
     np.testing.assert_allclose(both.motion.motion_map[70, 125], 0.1, rtol=1e-5)
@@ -106,7 +117,7 @@ def test_what_leaves_the_view_is_carried_out_of_it(moving: Moving) -> None:
 
 
 def test_nothing_stays_nothing() -> None:
-    nothing = what_moves([estimate(np.zeros(SHAPE, bool))], PARAMETERS, RESOLUTION.detail)
+    nothing = what_moves([estimate(np.zeros(SHAPE, bool))], grow, RESOLUTION.detail)
     there = propagated(nothing, translation(5.0, 2.0), RESOLUTION)
     assert (there.regions, there.areas) == ([], [])
     assert not there.motion.motion_map.any()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import replace
 
 import cv2
@@ -21,8 +22,9 @@ from support.drawn_clip import (
     stamps,
 )
 from support.drawn_scene import ByteImage, jaccard, texture
+from support.segmenters import segmenter_by_rules
 from turbseg_ros.segmentation.frame import SegmentationResult
-from turbseg_ros.segmentation.pipeline import MotionSegmenter
+from turbseg_ros.segmentation.motion_segmenter import MotionSegmenter
 
 
 @pytest.fixture(scope="module")
@@ -43,11 +45,11 @@ def test_a_frame_that_cannot_be_prepared_is_named(monkeypatch: pytest.MonkeyPatc
     def broken(*_: object) -> None:
         raise ValueError("broken")
 
-    segmenter = MotionSegmenter(PARAMETERS)
+    segmenter = segmenter_by_rules(PARAMETERS)
     first, second, third = frames(CLIP[:3], first=40)
     segmenter.push(first)
     with monkeypatch.context() as patch:
-        patch.setattr("turbseg_ros.segmentation.pipeline.prepare", broken)
+        patch.setattr("turbseg_ros.segmentation.preparation.prepare", broken)
         segmenter.push(second)
         with pytest.raises(RuntimeError, match="the frame of 41 ns"):
             segmenter.push(third)
@@ -58,7 +60,7 @@ def test_a_frame_that_cannot_be_prepared_is_named(monkeypatch: pytest.MonkeyPatc
 
 
 def test_images_that_nobody_wants_are_not_kept(results: list[SegmentationResult]) -> None:
-    segmenter = MotionSegmenter(PARAMETERS)
+    segmenter = segmenter_by_rules(PARAMETERS)
     lean = []
     for frame in frames(CLIP):
         lean += segmenter.push(replace(frame, image_wanted=False))
@@ -73,10 +75,10 @@ def test_images_that_nobody_wants_are_not_kept(results: list[SegmentationResult]
 
 
 def test_in_haste_the_square_is_carried_along_between_measurements() -> None:
-    segmenter = MotionSegmenter(PARAMETERS)
+    segmenter = segmenter_by_rules(PARAMETERS)
     waiting = PARAMETERS.latency.haste_from
     results = [result for frame in frames(CLIP) for result in segmenter.push(frame, waiting)]
-    results += segmenter.flush()
+    results += segmenter.flush(waiting)
     assert_sound(results)
     every = PARAMETERS.flow.every
     coasted = [result.frame.stamp for result in results if result.coasted]
@@ -90,7 +92,7 @@ def test_what_has_piled_up_is_worked_off_when_there_is_time_for_it() -> None:
     sooner = {"latency.warm_up": 16, "flow.every": 1, "tracking.confirmation": 2}
 
     def answered(waiting: int) -> list[int]:
-        segmenter = MotionSegmenter(PARAMETERS.replace(sooner))
+        segmenter = segmenter_by_rules(PARAMETERS.replace(sooner))
         return [len(segmenter.push(frame, waiting)) for frame in frames(CLIP)]
 
     haste = PARAMETERS.latency.haste_from
@@ -99,11 +101,11 @@ def test_what_has_piled_up_is_worked_off_when_there_is_time_for_it() -> None:
 
 
 def test_in_haste_or_not_is_chosen_frame_by_frame() -> None:
-    segmenter = MotionSegmenter(PARAMETERS.replace({"latency.warm_up": 0}))
+    segmenter = segmenter_by_rules(PARAMETERS.replace({"latency.warm_up": 0}))
     results = []
     for number, frame in enumerate(frames(CLIP)):
         results += segmenter.push(frame, PARAMETERS.latency.haste_from if number >= 20 else 0)
-    results += segmenter.flush()
+    results += segmenter.flush(PARAMETERS.latency.haste_from)
     coasted = [result.frame.stamp for result in results if result.coasted]
     # What is segmented when a frame comes is one so many frames before it.
     first = 20 - PARAMETERS.flow.interval - PARAMETERS.flow.every - 1
@@ -118,7 +120,7 @@ def test_always_in_haste_by_parameter() -> None:
 
 
 def test_when_to_hurry_can_be_changed() -> None:
-    segmenter = MotionSegmenter(PARAMETERS)
+    segmenter = segmenter_by_rules(PARAMETERS)
     segmenter.reconfigure(PARAMETERS.replace({"latency.haste_from": 0}))
     results = [result for frame in frames(CLIP) for result in segmenter.push(frame)]
     assert any(result.coasted for result in results)
@@ -131,10 +133,10 @@ def measured(results: list[SegmentationResult]) -> list[int]:
 
 def test_motion_is_measured_half_as_often_while_very_many_frames_wait() -> None:
     every = PARAMETERS.flow.every
-    segmenter = MotionSegmenter(PARAMETERS)
+    segmenter = segmenter_by_rules(PARAMETERS)
     waiting = PARAMETERS.latency.sparse_from
     results = [result for frame in frames(CLIP) for result in segmenter.push(frame, waiting)]
-    results += segmenter.flush()
+    results += segmenter.flush(waiting)
     assert_sound(results)
     assert measured(results) == list(range(0, len(results), 2 * every))
     for number, result in enumerate(results[16:-2], 16):
@@ -143,14 +145,31 @@ def test_motion_is_measured_half_as_often_while_very_many_frames_wait() -> None:
 
 def test_after_the_rush_motion_is_measured_as_often_as_before() -> None:
     every, latency = PARAMETERS.flow.every, PARAMETERS.latency
-    segmenter = MotionSegmenter(PARAMETERS.replace({"latency.warm_up": 0}))
+    segmenter = segmenter_by_rules(PARAMETERS.replace({"latency.warm_up": 0}))
     results = []
     for number, frame in enumerate(frames(CLIP)):
         rush = number < 10 + every
         results += segmenter.push(frame, latency.sparse_from if rush else latency.haste_from)
-    results += segmenter.flush()
+    results += segmenter.flush(latency.haste_from)
     answers = range(0, len(results), every)
     assert measured(results) == [number for number in answers if number != every]
+
+
+def test_an_empty_result_has_the_sizes_of_all_others(results: list[SegmentationResult]) -> None:
+    empty = segmenter_by_rules(PARAMETERS).empty_result(frames(CLIP)[0])
+    assert empty.motion_map.shape == results[-1].motion_map.shape
+    assert empty.labels.shape == results[-1].labels.shape
+    assert not empty.labels.any()
+    assert empty.objects == ()
+
+
+def test_closing_ends_all_threads_it_started() -> None:
+    before = set(threading.enumerate())
+    with segmenter_by_rules(PARAMETERS) as segmenter:
+        for frame in frames(CLIP):
+            segmenter.push(frame)
+        assert set(threading.enumerate()) - before
+    assert not set(threading.enumerate()) - before
 
 
 def test_an_object_is_described_as_it_is_labelled(results: list[SegmentationResult]) -> None:
@@ -218,7 +237,7 @@ def test_every_frame_gets_one_result_in_order(count: int, mode: str) -> None:
 @pytest.mark.parametrize("mode", ["centred", "causal"])
 def test_frames_wait_for_the_announced_look_ahead(mode: str) -> None:
     chosen = {"latency.mode": mode, "latency.warm_up": 0, "resolution.processing": 64}
-    segmenter = MotionSegmenter(PARAMETERS.replace(chosen))
+    segmenter = segmenter_by_rules(PARAMETERS.replace(chosen))
     # Neighbours, those of the frame measured next, and the frames until an object is
     # confirmed, which it is where motion is measured.
     assert segmenter.look_ahead == {"centred": 4 + 4 + 3 + 3 + 1, "causal": 0}[mode]
@@ -244,7 +263,7 @@ def test_without_look_ahead_the_square_is_found_all_the_same() -> None:
 
 
 def test_a_flushed_stream_goes_on() -> None:
-    segmenter = MotionSegmenter(PARAMETERS)
+    segmenter = segmenter_by_rules(PARAMETERS)
     assert segmenter.flush() == []
     found = []
     for part in (range(7), range(7, 8), range(8, 22)):
@@ -318,7 +337,7 @@ def pushed(segmenter: MotionSegmenter) -> list[SegmentationResult]:
 
 
 def test_ids_go_on_after_a_reset_and_other_parameters() -> None:
-    segmenter = MotionSegmenter(PARAMETERS)
+    segmenter = segmenter_by_rules(PARAMETERS)
     assert ids(pushed(segmenter)) == {1}
     segmenter.reset()
     assert segmenter.flush() == []
@@ -329,7 +348,7 @@ def test_ids_go_on_after_a_reset_and_other_parameters() -> None:
 
 
 def test_other_parameters_are_followed() -> None:
-    segmenter = MotionSegmenter(PARAMETERS)
+    segmenter = segmenter_by_rules(PARAMETERS)
     pushed(segmenter)
     segmenter.reconfigure(PARAMETERS.replace({"seed.delta1": 1000.0}))
     assert not ids(pushed(segmenter) + segmenter.flush())
@@ -414,7 +433,7 @@ def test_one_frame_that_shows_nothing_spoils_no_other(grey: int) -> None:
 
 
 def test_the_papers_preset_gives_disjoint_objects_at_the_end() -> None:
-    segmenter = MotionSegmenter(PAPER)
+    segmenter = segmenter_by_rules(PAPER)
     for frame in frames(CLIP[:10]):
         assert segmenter.push(frame) == []
     found = segmenter.flush()

@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from support.drawn_scene import DrawnScene, Mask, jaccard
+from support.segmenters import ObservingRefiner, segmenter_refined_by
 from turbseg_ros.parameters import Parameters
 from turbseg_ros.segmentation.cropped_mask import Box
 from turbseg_ros.segmentation.foreground import AreaMasks, ObjectCrop
 from turbseg_ros.segmentation.frame import Frame, SegmentationResult
-from turbseg_ros.segmentation.pipeline import MotionSegmenter
 from turbseg_ros.segmentation.refinement import refined_masks
 
 SCENE = DrawnScene()
@@ -20,20 +20,25 @@ FRAMES = [Frame(number, image) for number, image in enumerate(SCENE.images(20))]
 PARAMETERS = Parameters.from_mapping({"resolution.processing": 160})
 
 
-class Oracle:
+class Oracle(ObservingRefiner):
     """Judges every pixel by its part of a mask that belongs to the frame."""
 
     def __init__(self, masks: Sequence[Mask]) -> None:
         self._masks = masks
+        self._mask = masks[0]
         self.asked: set[int] = set()
 
-    def refine(self, windows: Sequence[ObjectCrop]) -> list[np.ndarray]:
-        self.asked |= {window.stamp for window in windows}
-        return [self._masks[w.stamp][w.box.slices].astype(np.float32) for w in windows]
+    def crops(self, stamp: int, crops: Sequence[ObjectCrop]) -> None:
+        self._mask = self._masks[stamp]
+        if crops:
+            self.asked.add(stamp)
+
+    def refine(self, crops: Sequence[ObjectCrop]) -> list[np.ndarray]:
+        return [self._mask[crop.box.slices].astype(np.float32) for crop in crops]
 
 
 def refined(masks: Sequence[Mask]) -> list[SegmentationResult]:
-    segmenter = MotionSegmenter(PARAMETERS, Oracle(masks))
+    segmenter = segmenter_refined_by(Oracle(masks), PARAMETERS)
     return [result for frame in FRAMES for result in segmenter.push(frame)] + segmenter.flush()
 
 
@@ -54,7 +59,7 @@ def test_nothing_is_found_where_the_refiner_sees_only_background() -> None:
 
 def test_where_nothing_is_outlined_nothing_is_looked_for_until_motion_is_measured_again() -> None:
     blind = Oracle([np.zeros(SCENE.shape, bool)] * len(FRAMES))
-    segmenter = MotionSegmenter(PARAMETERS, blind)
+    segmenter = segmenter_refined_by(blind, PARAMETERS)
     for frame in FRAMES:
         segmenter.push(frame)
     segmenter.flush()
@@ -72,7 +77,6 @@ def test_the_outline_of_what_rests_stays_where_it_is_expected() -> None:
         area=AreaMasks(expected, probable=nothing, certain=nothing),
         motion=np.zeros(shape, np.float32),
         tilt=0.5,
-        stamp=0,
     )
     wide = np.zeros(shape, np.float32)
     wide[5:35, 10:50] = 1.0

@@ -12,7 +12,10 @@ from hypothesis import strategies as st
 from support.drawn_scene import texture
 from turbseg_ros.segmentation.background import unmasked
 from turbseg_ros.segmentation.cropped_mask import CroppedMask
-from turbseg_ros.segmentation.window import FrameWindow, PreparedFrame, Resolution, prepare
+from turbseg_ros.segmentation.observer import StageObserver
+from turbseg_ros.segmentation.preparation import PreparedFrame, prepare
+from turbseg_ros.segmentation.resolution import Resolution
+from turbseg_ros.segmentation.window import FrameWindow
 
 
 def tiny_frame(
@@ -41,11 +44,22 @@ def filled(count: int, **settings: int) -> FrameWindow:
     return window
 
 
+def ready_frames(window: FrameWindow, *, ended: bool = False, at_most: int = 1) -> list[int]:
+    """Take the frames that can be segmented now, no more than so many unless the stream ended."""
+    taken: list[int] = []
+    while ended or len(taken) < at_most:
+        index = window.pop_ready(ended)
+        if index is None:
+            break
+        taken.append(index)
+    return taken
+
+
 def done(window: FrameWindow, count: int, motions: list[np.ndarray] | None = None) -> FrameWindow:
     """Push frames and segment each as soon as it is ready."""
     for index in range(window.count, count):
         window.append(tiny_frame(index, None if motions is None else motions[index]))
-        list(window.ready())
+        ready_frames(window)
     return window
 
 
@@ -55,8 +69,8 @@ def test_every_frame_is_ready_once_and_in_order(count: int, interval: int, causa
     given_out = []
     for index in range(count):
         window.append(tiny_frame(index))
-        given_out += window.ready()
-    given_out += window.ready(ended=True)
+        given_out += ready_frames(window)
+    given_out += ready_frames(window, ended=True)
     assert given_out == list(range(count))
 
 
@@ -65,7 +79,7 @@ def test_a_frame_waits_for_those_that_it_is_compared_with(count: int, interval: 
     window = window_of(interval, interval)
     for index in range(count):
         window.append(tiny_frame(index))
-        for centre in window.ready():
+        for centre in ready_frames(window):
             after = window.count - 1 - centre
             assert after >= interval
 
@@ -75,7 +89,7 @@ def test_a_frame_waits_no_longer_than_it_must() -> None:
     ready = []
     for index in range(5):
         window.append(tiny_frame(index))
-        ready.append(list(window.ready()))
+        ready.append(ready_frames(window))
     assert ready == [[], [], [0], [1], [2]]
 
 
@@ -93,17 +107,17 @@ def test_the_first_frames_wait_for_the_warm_up_and_are_then_worked_off(
     ready = []
     for index in range(10):
         window.append(tiny_frame(index))
-        ready.append(list(window.ready(at_most=at_most)))
+        ready.append(ready_frames(window, at_most=at_most))
     assert ready == expected
     left = list(range(sum(map(len, expected)), 10))
-    assert list(window.ready(ended=True)) == left
+    assert ready_frames(window, ended=True) == left
 
 
 def test_without_look_ahead_a_frame_is_ready_when_it_comes() -> None:
     window = window_of(look_ahead=0)
     for index in range(5):
         window.append(tiny_frame(index))
-        assert list(window.ready()) == [index]
+        assert ready_frames(window) == [index]
 
 
 def test_the_newest_frame_is_at_hand() -> None:
@@ -182,7 +196,7 @@ def test_the_number_of_frames_kept_stays_the_same_over_two_thousand(
         weakref.finalize(frame.grey, released)
         window.append(frame)
         del frame
-        for centre in window.ready():
+        for centre in ready_frames(window):
             window.mark_objects(centre, [])
         kept.append(alive)
     assert max(kept[100:]) == max(kept[100:200])
@@ -300,7 +314,7 @@ def test_a_turn_about_the_middle_stays_one_for_outlines() -> None:
 def test_a_prepared_frame_has_the_sizes_of_its_resolution(colours: tuple[int, ...]) -> None:
     resolution = Resolution.of((96, 160), 80, 120)
     picture = np.full((96, 160, *colours), 7, np.uint8)
-    prepared = prepare(picture, resolution, 0, None)
+    prepared = prepare(picture, resolution, 0, None, StageObserver())
     assert prepared.grey.shape == resolution.processing[::-1]
     assert prepared.detail.shape == (*resolution.detail[::-1], *(colours or (1,)))
     assert not prepared.objects_known
@@ -310,7 +324,8 @@ def test_a_prepared_frame_has_the_sizes_of_its_resolution(colours: tuple[int, ..
 def test_a_prepared_frame_knows_how_the_one_before_lies_to_it() -> None:
     ground = texture((96, 160), seed=4, grain=2.0)
     resolution = Resolution.of(ground.shape, 160, 160)
-    before = prepare(ground, resolution, 0, None)
-    after = prepare(np.roll(ground, (-2, 5), axis=(0, 1)), resolution, 1, before)
+    before = prepare(ground, resolution, 0, None, StageObserver())
+    rolled = np.roll(ground, (-2, 5), axis=(0, 1))
+    after = prepare(rolled, resolution, 1, before, StageObserver())
     scale = resolution.processing[0] / 160
     np.testing.assert_allclose(after.from_previous[:2, 2], (5 * scale, -2 * scale), atol=0.2)

@@ -8,10 +8,10 @@ import numpy as np
 
 from support.drawn_scene import DrawnScene
 from support.paths import CONFIG
+from support.segmenters import segmenter_by_rules
 from turbseg_ros.parameter_file import load_parameters
 from turbseg_ros.parameters import Parameters
 from turbseg_ros.segmentation.frame import Frame, SegmentationResult
-from turbseg_ros.segmentation.pipeline import MotionSegmenter
 
 # At the scene's own resolution, which is enough for it and fast.
 PARAMETERS = Parameters.from_mapping({"resolution.processing": 160})
@@ -28,7 +28,7 @@ def frames(images: Iterable[np.ndarray], first: int = 0) -> list[Frame]:
 def segmented(
     images: Iterable[np.ndarray], parameters: Parameters = PARAMETERS
 ) -> list[SegmentationResult]:
-    segmenter = MotionSegmenter(parameters)
+    segmenter = segmenter_by_rules(parameters)
     results = [result for frame in frames(images) for result in segmenter.push(frame)]
     return results + segmenter.flush()
 

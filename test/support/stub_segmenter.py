@@ -32,13 +32,19 @@ class StubSegmenter:
             raise RuntimeError(f"frame {self._count} is one of those that fail")
         return [self._result(frame)]
 
-    def flush(self) -> list[SegmentationResult]:
+    def flush(self, waiting: int = 0) -> list[SegmentationResult]:
         return []
 
     def reset(self) -> None:
         pass
 
     def reconfigure(self, _parameters: Parameters) -> None:
+        pass
+
+    def empty_result(self, frame: Frame) -> SegmentationResult:
+        return SegmentationResult.empty(frame, (243, 432))
+
+    def close(self) -> None:
         pass
 
     def _result(self, frame: Frame) -> SegmentationResult:

@@ -6,17 +6,16 @@ import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from turbseg_ros.arrays import ByteImage
 from turbseg_ros.bag.frames import BagFrames
 from turbseg_ros.bag.reader import BagReader
 from turbseg_ros.cli.errors import UsageError, executable
 from turbseg_ros.cli.options import add_parameter_options, parameters_from, with_progress
-from turbseg_ros.factory import flow_backend, refiner
+from turbseg_ros.factory import motion_segmenter
 from turbseg_ros.overlay import (
     WHITE,
     Canvas,
@@ -28,11 +27,11 @@ from turbseg_ros.overlay import (
 )
 from turbseg_ros.segmentation.frame import SegmentationResult, segment
 from turbseg_ros.segmentation.motion import MotionEstimate
-from turbseg_ros.segmentation.pipeline import MotionSegmenter
+from turbseg_ros.segmentation.moving import Moving
+from turbseg_ros.segmentation.observer import StageObserver
 from turbseg_ros.segmentation.region_growing import Region
+from turbseg_ros.segmentation.resolution import Resolution
 from turbseg_ros.segmentation.track import Detection
-
-Picture = npt.NDArray[np.uint8]
 
 _TILE_WIDTH = 480
 # M in standard deviations of its noise that is shown at full brightness.
@@ -49,18 +48,27 @@ class Stages:
     detail_width: int
 
 
-class WatchedSegmenter(MotionSegmenter):
-    """Segments as ever, and keeps what the stages made of the frame with one stamp."""
+class FrameObserver(StageObserver):
+    """Keeps what the stages made of the frame with one stamp."""
 
-    stages: Stages | None = None
-    watched_stamp = -1
+    def __init__(self, stamp: int) -> None:
+        self.stamp = stamp
+        self.stages: Stages | None = None
+        self._moving: Moving | None = None
 
-    def _outlines(self, centre: int, moving: Any, *rest: Any) -> list[Detection]:
-        detections = super()._outlines(centre, moving, *rest)
-        if rest[-1] == self.watched_stamp:
-            width = self._detail_shape[1]
+    def motion(self, stamp: int, moving: Moving) -> None:
+        """Keep what moves in the frame."""
+        if stamp == self.stamp:
+            self._moving = moving
+
+    def detections(
+        self, stamp: int, detections: Sequence[Detection], resolution: Resolution
+    ) -> None:
+        """Keep what was cut out of the frame."""
+        if stamp == self.stamp and self._moving is not None:
+            moving = self._moving
+            width = resolution.detail[0]
             self.stages = Stages(moving.motion, moving.regions, detections, width)
-        return detections
 
 
 @executable("stages")
@@ -68,23 +76,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Draw the picture; return the exit status."""
     options = _parser().parse_args(arguments)
     parameters = parameters_from(options)
-    segmenter = WatchedSegmenter(parameters, refiner(parameters), flow_backend(parameters))
     reader = BagReader(options.bag)
     frames = BagFrames(reader, reader.find_image_topic(options.image_topic))
     stamps = [frame.stamp for frame in frames]
     if not 0 <= options.frame < len(stamps):
         raise UsageError(f"--frame {options.frame}: {options.bag} has {len(stamps)} frames")
-    segmenter.watched_stamp = stamps[options.frame]
-    results = segment(with_progress(frames, reader.path.name), segmenter)
-    (result,) = [result for result in results if result.frame.stamp == segmenter.watched_stamp]
-    if segmenter.stages is None:
+    observer = FrameObserver(stamps[options.frame])
+    with motion_segmenter(parameters, observer) as segmenter:
+        results = segment(with_progress(frames, reader.path.name), segmenter)
+        (result,) = [result for result in results if result.frame.stamp == observer.stamp]
+    if observer.stages is None:
         raise UsageError(f"nothing to compare frame {options.frame} with")
     options.out.parent.mkdir(parents=True, exist_ok=True)
-    write_picture(options.out, grid(list(_tiles(result, segmenter.stages)), columns=3))
+    write_picture(options.out, grid(list(_tiles(result, observer.stages)), columns=3))
     return 0
 
 
-def _tiles(result: SegmentationResult, stages: Stages) -> Iterator[Picture]:
+def _tiles(result: SegmentationResult, stages: Stages) -> Iterator[ByteImage]:
     titles = {
         "1 frame": Canvas.of(result.frame.image, _TILE_WIDTH),
         "2 velocity against the scene": Canvas.of(_velocity(stages.motion), _TILE_WIDTH),
@@ -99,7 +107,7 @@ def _tiles(result: SegmentationResult, stages: Stages) -> Iterator[Picture]:
         yield canvas.image[:height]
 
 
-def _velocity(motion: MotionEstimate) -> Picture:
+def _velocity(motion: MotionEstimate) -> ByteImage:
     """Colour velocity as optical flow is: hue for direction, brightness for speed."""
     speed, angle = cv2.cartToPolar(motion.velocity[..., 0], motion.velocity[..., 1])
     hsv = np.full((*speed.shape, 3), 255, np.uint8)
@@ -108,12 +116,12 @@ def _velocity(motion: MotionEstimate) -> Picture:
     return np.asarray(cv2.cvtColor(hsv, cv2.COLOR_HSV2BGR))
 
 
-def _heat(motion: MotionEstimate) -> Picture:
+def _heat(motion: MotionEstimate) -> ByteImage:
     strength = np.clip(motion.motion_map / motion.noise * (255.0 / _BRIGHTEST), 0, 255)
     return np.asarray(cv2.applyColorMap(strength.astype(np.uint8), cv2.COLORMAP_INFERNO))
 
 
-def _regions(stages: Stages) -> Picture:
+def _regions(stages: Stages) -> ByteImage:
     picture = np.full((*stages.motion.motion_map.shape, 3), 40, np.uint8)
     for number, region in enumerate(stages.regions):
         within = picture[region.outline.box.slices]

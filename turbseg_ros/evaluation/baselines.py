@@ -10,25 +10,20 @@ import difflib
 import os
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import ClassVar, Protocol
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from turbseg_ros.arrays import ByteImage, Mask, Matrix
 from turbseg_ros.factory import clip_segmenter
 from turbseg_ros.parameter_file import load_parameters
 from turbseg_ros.parameters import Parameters
 from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResult, Segmenter
 from turbseg_ros.segmentation.registration import align, register_affine, visible
 from turbseg_ros.segmentation.tone import ToneMap
-
-Picture = npt.NDArray[np.uint8]
-Grey = npt.NDArray[np.uint8]
-Matrix = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 # The middle of what served the baselines best on the bags that come with the package: without
 # shadows, which turbulence feigns, and cleaned by a median and a least area, both in pixels.
@@ -143,7 +138,7 @@ class ForegroundDetector:
         cv2.setRNGSeed(1)
         self._subtractor = _SUBTRACTORS[algorithm]()
 
-    def foreground(self, picture: Picture) -> Mask:
+    def foreground(self, picture: ByteImage) -> Mask:
         """Return which pixels of the next picture, HxW or HxWx3, are no background."""
         foreground: Mask = self._subtractor.apply(picture) > 0
         if np.count_nonzero(foreground) > _MAX_FOREGROUND * foreground.size:
@@ -160,9 +155,9 @@ class StabilisedDetector:
     def __init__(self, algorithm: str) -> None:
         self._algorithm = algorithm
         self._detector = ForegroundDetector(algorithm)
-        self._reference: Grey | None = None
+        self._reference: ByteImage | None = None
 
-    def foreground(self, picture: Picture) -> Mask:
+    def foreground(self, picture: ByteImage) -> Mask:
         """Return which pixels of the next picture, HxW or HxWx3, are no background."""
         grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY) if picture.ndim == 3 else picture
         to_picture, in_view = self._register(grey)
@@ -173,7 +168,7 @@ class StabilisedDetector:
         )
         return np.asarray(returned > 0)
 
-    def _register(self, grey: Grey) -> tuple[Matrix, Mask]:
+    def _register(self, grey: ByteImage) -> tuple[Matrix, Mask]:
         """Return the transform from the reference to this frame, and what of it is in view."""
         if self._reference is not None and self._reference.shape == grey.shape:
             self._to_newest = self._transform(self._reference, grey)
@@ -186,7 +181,7 @@ class StabilisedDetector:
         self._to_newest = np.eye(3)
         return self._to_newest, np.ones(grey.shape, bool)
 
-    def _transform(self, reference: Grey, grey: Grey) -> Matrix:
+    def _transform(self, reference: ByteImage, grey: ByteImage) -> Matrix:
         """Return the transform from the reference to this frame.
 
         Registered directly it doesn't drift; but where an object was followed instead of the
@@ -217,32 +212,15 @@ class ComponentSegmenter:
         """Take the next frame; return its result."""
         foreground = self._detector.foreground(self._tone(frame.image))
         cleaned = cv2.medianBlur(foreground.astype(np.uint8), _MEDIAN_SIZE)
-        _, components, statistics, centroids = cv2.connectedComponentsWithStats(cleaned)
+        _, components, statistics, _ = cv2.connectedComponentsWithStats(cleaned)
         large = statistics[:, cv2.CC_STAT_AREA] >= _MIN_OBJECT
         large[0] = False
         ids = np.cumsum(large, dtype=np.uint16) * large
+        labels = ids[components]
         objects = tuple(
-            MovingObject(
-                id=int(ids[component]),
-                slot=-1,
-                centroid=(float(centroids[component, 0]), float(centroids[component, 1])),
-                velocity=(0.0, 0.0),
-                area=int(area),
-                box=(int(left), int(top), int(width), int(height)),
-            )
-            for component, (left, top, width, height, area) in enumerate(statistics)
-            if large[component]
+            MovingObject.from_mask(labels == number, int(number)) for number in ids[large]
         )
-        return [
-            SegmentationResult(
-                frame=frame,
-                labels=ids[components],
-                objects=objects,
-                motion_map=np.zeros((0, 0), np.float32),
-                tilt=float("nan"),
-                ego_motion_model="",
-            )
-        ]
+        return [replace(SegmentationResult.empty(frame), labels=labels, objects=objects)]
 
     def flush(self) -> list[SegmentationResult]:
         """Return nothing: every frame was answered."""

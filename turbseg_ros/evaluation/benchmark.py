@@ -6,8 +6,6 @@ frames each, with one optical flow of a fixed kind, whose ratio means the same e
 
 from __future__ import annotations
 
-import functools
-import importlib
 import itertools
 import math
 import multiprocessing
@@ -15,23 +13,21 @@ import threading
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
-from unittest import mock
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from turbseg_ros.arrays import ByteImage
 from turbseg_ros.evaluation.baselines import Method, TurbsegMethod
 from turbseg_ros.factory import motion_segmenter
 from turbseg_ros.parameters import Parameters
-from turbseg_ros.segmentation.frame import Frame
-
-Picture = npt.NDArray[np.uint8]
+from turbseg_ros.segmentation.frame import Frame, Segmenter
+from turbseg_ros.segmentation.observer import StageObserver
 
 YARDSTICK_SIZE = (432, 240)
 """Width and height of the pictures whose flow is the yardstick."""
@@ -39,23 +35,6 @@ YARDSTICK_SIZE = (432, 240)
 # Frames that each method gets at a turn, and seconds for which its threads may finish then.
 _BLOCK = 10
 _PAUSE = 0.05
-
-_PIPELINE = "turbseg_ros.segmentation.pipeline"
-STAGES: Mapping[str, str] = {
-    "scaling": f"{_PIPELINE}.prepare",
-    "registration": "turbseg_ros.segmentation.window.register_affine",
-    "optical flow": "turbseg_ros.segmentation.motion_worker.dis_flow",
-    "motion map": "turbseg_ros.segmentation.motion_worker.measured_motions",
-    "propagation": f"{_PIPELINE}.propagated",
-    "seeds": "turbseg_ros.segmentation.region_growing.seed_strength",
-    "region growing": "turbseg_ros.segmentation.region_growing.grow_regions",
-    "refinement": "turbseg_ros.learning.pretrained.PretrainedRefiner.refine",
-    "outlines": f"{_PIPELINE}.refined_masks",
-    "background": "turbseg_ros.learning.window_input.background_in",
-    "tracking": "turbseg_ros.segmentation.kalman_tracker.KalmanTracker.update",
-    "labels": f"{_PIPELINE}._result",
-}
-"""The functions whose time is told apart, where the callers find them."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +87,7 @@ class Footprint:
     first_result_seconds: float
 
 
-def endless(clip: Sequence[Picture], size: tuple[int, int], rate_hz: float) -> Iterator[Frame]:
+def endless(clip: Sequence[ByteImage], size: tuple[int, int], rate_hz: float) -> Iterator[Frame]:
     """Return a clip forward and backward without end, scaled to cover `size` (width, height)."""
     width, height = size
     there_and_back = [*range(len(clip)), *range(len(clip) - 2, 0, -1)]
@@ -131,22 +110,23 @@ def measure(
     :param warm_up: frames that are not counted, while memories fill.
     """
     default = cv2.getNumThreads()
-    segmenters = [method.segmenter() for method in methods]
+    clock = StageClock()
+    segmenters = [_observed(methods[0], clock), *(method.segmenter() for method in methods[1:])]
     # The method makes do with its own threads, the others have OpenCV's.
     threads = [1 if isinstance(each, TurbsegMethod) else default for each in methods]
     flow = _YardstickFlow()
     meters = [_Meter() for _ in methods]
     yardstick = _Meter()
-    clock = StageClock()
     coming = iter(frames)
     for frame in itertools.islice(coming, warm_up):
         for segmenter in segmenters:
             segmenter.push(frame)
         flow.compute(flow.prepared(frame))
     while block := list(itertools.islice(coming, _BLOCK)):
-        with clock.watching(STAGES):
-            cv2.setNumThreads(threads[0])
-            meters[0].run(segmenters[0].push, block)
+        cv2.setNumThreads(threads[0])
+        clock.running = True
+        meters[0].run(segmenters[0].push, block)
+        clock.running = False
         for meter, segmenter, count in zip(meters[1:], segmenters[1:], threads[1:], strict=True):
             cv2.setNumThreads(count)
             meter.run(segmenter.push, block)
@@ -185,41 +165,39 @@ class _Meter:
         return Cost(p50, p95, p99, 1e3 * float(np.median(self._processor_seconds)))
 
 
-class StageClock:
-    """Adds up the time spent in functions of other modules, which need not know of it.
+class StageClock(StageObserver):
+    """Adds up the time that stages take while it is running.
 
-    A function's time is that of its calls less that of watched calls within, in the same thread.
+    A stage's time is its own less that of the stages within it, in the same thread.
     """
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = defaultdict(float)
+        self.running = False
         self._lock = threading.Lock()
         self._within = threading.local()
 
     @contextmanager
-    def watching(self, functions: Mapping[str, str]) -> Iterator[None]:
-        """Progress functions, {name: dotted path of the attribute that callers read}."""
-        with ExitStack() as stack:
-            for name, path in functions.items():
-                original = _resolve(path)
-                stack.enter_context(mock.patch(path, self._watched(name, original)))
+    def stage(self, name: str) -> Iterator[None]:
+        """Take the time while a stage works."""
+        outer = getattr(self._within, "seconds", 0.0)
+        self._within.seconds = 0.0
+        began = time.perf_counter()
+        try:
             yield
-
-    def _watched(self, name: str, function: Callable[..., Any]) -> Callable[..., Any]:
-        @functools.wraps(function)
-        def watched(*arguments: Any, **keywords: Any) -> Any:
-            outer = getattr(self._within, "seconds", 0.0)
-            self._within.seconds = 0.0
-            began = time.perf_counter()
-            try:
-                return function(*arguments, **keywords)
-            finally:
-                took = time.perf_counter() - began
+        finally:
+            took = time.perf_counter() - began
+            if self.running:
                 with self._lock:
                     self.seconds[name] += took - self._within.seconds
-                self._within.seconds = outer + took
+            self._within.seconds = outer + took
 
-        return watched
+
+def _observed(method: Method, clock: StageClock) -> Segmenter:
+    """Make a method's segmenter; the clock looks at its stages where it has some."""
+    if isinstance(method, TurbsegMethod):
+        return motion_segmenter(method.parameters, clock)
+    return method.segmenter()
 
 
 def footprint(parameters: Parameters, frames: Iterable[Frame]) -> Footprint:
@@ -265,25 +243,15 @@ class _YardstickFlow:
 
     def __init__(self) -> None:
         self._dis = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
-        self._previous: Picture | None = None
+        self._previous: ByteImage | None = None
 
-    def prepared(self, frame: Frame) -> Picture:
+    def prepared(self, frame: Frame) -> ByteImage:
         """Return the small grey picture of a frame."""
         small = cv2.resize(frame.image, YARDSTICK_SIZE, interpolation=cv2.INTER_AREA)
         return cv2.cvtColor(small, cv2.COLOR_BGR2GRAY) if small.ndim == 3 else small
 
-    def compute(self, grey: Picture) -> None:
+    def compute(self, grey: ByteImage) -> None:
         """Compute the flow from the picture before to this one."""
         previous = grey if self._previous is None else self._previous
         self._previous = grey
         self._dis.calc(previous, grey, None)
-
-
-def _resolve(path: str) -> Callable[..., Any]:
-    """Find what a dotted path names: an attribute of a module, or of a class in one."""
-    module, _, name = path.rpartition(".")
-    try:
-        owner: Any = importlib.import_module(module)
-    except ModuleNotFoundError:
-        owner = _resolve(module)
-    return getattr(owner, name)

@@ -11,9 +11,10 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from turbseg_ros.arrays import Image
 from turbseg_ros.evaluation.labels import LabelsByStamp, StampedLabels
 from turbseg_ros.evaluation.metrics import Labels
-from turbseg_ros.segmentation.frame import Frame, Image
+from turbseg_ros.segmentation.frame import Frame
 from turbseg_ros.simulation.camera import CameraMotion
 from turbseg_ros.simulation.turbulence import Turbulence
 from turbseg_ros.simulation.warp import ClipWarper

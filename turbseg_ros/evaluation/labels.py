@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -79,26 +78,14 @@ class LabelsByStamp:
 
 def result_from_labels(frame: Frame, labels: Labels) -> SegmentationResult:
     """Return the result that labels alone tell of: objects without velocity, slot and trail."""
-    return SegmentationResult(
-        frame=frame,
+    return replace(
+        SegmentationResult.empty(frame),
         labels=labels.astype(np.uint16, copy=False),
-        objects=tuple(_object(labels, int(value)) for value in np.unique(labels) if value),
-        motion_map=np.zeros((0, 0), np.float32),
-        tilt=math.nan,
-        ego_motion_model="",
-    )
-
-
-def _object(labels: Labels, object_id: int) -> MovingObject:
-    rows, columns = np.nonzero(labels == object_id)
-    left, top = int(columns.min()), int(rows.min())
-    return MovingObject(
-        id=object_id,
-        slot=-1,
-        centroid=(float(columns.mean()), float(rows.mean())),
-        velocity=(0.0, 0.0),
-        area=rows.size,
-        box=(left, top, int(columns.max()) - left + 1, int(rows.max()) - top + 1),
+        objects=tuple(
+            MovingObject.from_mask(labels == value, int(value))
+            for value in np.unique(labels)
+            if value
+        ),
     )
 
 

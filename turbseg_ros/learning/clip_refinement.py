@@ -21,21 +21,17 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 from torch.nn import functional
 
+from turbseg_ros.arrays import ByteImage, Labels, Map, Mask
 from turbseg_ros.learning.refine_net import RefineNet
-from turbseg_ros.segmentation.cropped_mask import Box
 from turbseg_ros.segmentation.flow import dis_flow
 from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResult
-from turbseg_ros.segmentation.pipeline import MotionSegmenter
+from turbseg_ros.segmentation.motion_segmenter import MotionSegmenter
 from turbseg_ros.segmentation.tone import ToneMap
 
-Labels = npt.NDArray[np.uint16]
-Maps = npt.NDArray[np.float32]
-Picture = npt.NDArray[np.uint8]
 Epochs = Callable[[range], Iterable[int]]
 """Hands epochs on while it shows how many have passed."""
 
@@ -102,7 +98,7 @@ class ClipRefiner:
         return [redrawn(result, mask) for result, mask in zip(results, masks[:, 0], strict=True)]
 
 
-def refined_masks(clip: Clip, epochs: int, grouping: bool, shown: Epochs = iter) -> Maps:
+def refined_masks(clip: Clip, epochs: int, grouping: bool, shown: Epochs = iter) -> Map:
     """Fit the network to a clip; return each pixel's probability to move, Tx1xHxW."""
     torch.manual_seed(_SEED)
     net = _network(clip)
@@ -121,10 +117,10 @@ def refined_masks(clip: Clip, epochs: int, grouping: bool, shown: Epochs = iter)
             loss.backward()
             optimiser.step()
             masks[frames] = torch.sigmoid(logits).detach()
-    # Maps are normalised by the frames at hand: after so few steps, running means lag behind.
+    # Map are normalised by the frames at hand: after so few steps, running means lag behind.
     with torch.no_grad():
         judged = torch.cat([torch.sigmoid(net(part)) for part in clip.inputs.split(batch)])
-    probabilities: Maps = judged.numpy()
+    probabilities: Map = judged.numpy()
     return probabilities
 
 
@@ -140,7 +136,10 @@ def _network(clip: Clip) -> RefineNet:
 
 
 def consistent_target(coarse: Tensor, masks: Tensor, flows: dict[int, Tensor]) -> Tensor:
-    """Return the mask against which the cross-entropy of α is γ1·L1 + γ2·Σ L2 + γ3·Σ L3.
+    """Return the mask against which the cross-entropy of α is the paper's loss, eq. 5.
+
+    That is γ1·L1 + γ2·Σ L2 + γ3·Σ L3: consistent with the coarse mask (L1, eq. 6), with the
+    neighbours' coarse masks warped by the flow (L2, eq. 7), with its own ones (L3, eq. 8).
 
     All of these are cross-entropies of the same α, and a cross-entropy is linear in what it is
     taken against: β, the neighbours' β, and what α was in the last epoch for the neighbours. So
@@ -172,7 +171,7 @@ def warp(masks: Tensor, flow: Tensor) -> Tensor:
 
 
 def regrouped(masks: Tensor, flows: dict[int, Tensor]) -> Tensor:
-    """Group each frame's pixels by 2-means on their mask values over time, x and y; Tx1xHxW.
+    """Group each frame's pixels by 2-means on mask values over time, x and y: eq. 9; Tx1xHxW.
 
     Pixels of the group where the masks are larger get 1, the others 0.
     """
@@ -188,7 +187,7 @@ def regrouped(masks: Tensor, flows: dict[int, Tensor]) -> Tensor:
     return grouped
 
 
-def _two_means(features: Maps, values: int) -> Maps:
+def _two_means(features: Map, values: int) -> Map:
     """Return 1 for the group whose first so many `values` are larger, 0 for the other."""
     brightness = features[:, :values].mean(axis=1)
     if brightness.max() < 0.5:
@@ -223,7 +222,7 @@ def clip_of(results: Sequence[SegmentationResult]) -> Clip:
     )
 
 
-def _flows(greys: Sequence[Picture], g: int) -> Maps:
+def _flows(greys: Sequence[ByteImage], g: int) -> Map:
     """Return F(t+g→t) for every t."""
     flows = np.zeros((len(greys), *greys[0].shape, 2), np.float32)
     for t, grey in enumerate(greys):
@@ -232,24 +231,24 @@ def _flows(greys: Sequence[Picture], g: int) -> Maps:
     return flows
 
 
-def _grey(picture: Picture) -> Picture:
+def _grey(picture: ByteImage) -> ByteImage:
     if picture.ndim == 2:
         return picture
     return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY))
 
 
-def _relative(motion_map: Maps) -> Maps:
+def _relative(motion_map: Map) -> Map:
     usual = max(float(np.median(motion_map)), 1e-3)
     return np.asarray(2.0 * motion_map / (motion_map + _HALF_MOTION * usual) - 1.0, np.float32)
 
 
-def _covered(mask: npt.NDArray[np.bool_], size: tuple[int, int]) -> Maps:
+def _covered(mask: Mask, size: tuple[int, int]) -> Map:
     """Return what share of each pixel a mask covers, at another size."""
-    covered: Maps = cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    covered: Map = cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA)
     return covered
 
 
-def redrawn(result: SegmentationResult, probability: Maps) -> SegmentationResult:
+def redrawn(result: SegmentationResult, probability: Map) -> SegmentationResult:
     """Draw a frame's objects anew, where pixels move rather than not.
 
     Each pixel goes to the object whose coarse mask is nearest; a part of what moves that touches
@@ -283,15 +282,8 @@ def _nearest(labels: Labels) -> Labels:
     return nearest
 
 
-def _with_mask(found: MovingObject, mask: npt.NDArray[np.bool_]) -> MovingObject:
-    box = Box.around(mask)
-    y, x = np.nonzero(mask)
-    return dataclasses.replace(
-        found,
-        centroid=(float(x.mean()), float(y.mean())),
-        area=len(x),
-        box=(box.x0, box.y0, box.x1 - box.x0, box.y1 - box.y0),
-    )
+def _with_mask(found: MovingObject, mask: Mask) -> MovingObject:
+    return MovingObject.from_mask(mask, found.id, found.slot, found.velocity, found.trail)
 
 
 def _padded(length: int) -> int:

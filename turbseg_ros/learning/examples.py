@@ -8,17 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from turbseg_ros.arrays import Labels, Map
+from turbseg_ros.factory import motion_segmenter
 from turbseg_ros.learning.random_scenes import random_scene
 from turbseg_ros.learning.window_input import CHANNELS, SIDE, resized, window_input
 from turbseg_ros.parameters import Parameters
 from turbseg_ros.segmentation.foreground import ObjectCrop, foreground_masks
 from turbseg_ros.segmentation.frame import Frame
-from turbseg_ros.segmentation.pipeline import MotionSegmenter
+from turbseg_ros.segmentation.observer import StageObserver
 from turbseg_ros.simulation.render import render
 
-Map = npt.NDArray[np.float32]
 HalfMaps = npt.NDArray[np.float16]
-Labels = npt.NDArray[np.uint16]
 
 # Windows of every so many frames are kept, for neighbours are nearly alike.
 _STEP = 3
@@ -56,38 +56,41 @@ def examples_from(clip: Iterable[tuple[Frame, Labels]], parameters: Parameters) 
     :param clip: frames with their labels, no wider than `resolution.detail`.
     """
     truth: dict[int, Labels] = {}
-    observer = _Observer(truth, parameters.outline.threshold)
-    segmenter = MotionSegmenter(parameters, observer)
-    for number, (frame, labels) in enumerate(clip):
-        if number % _STEP == 0:
-            truth[frame.stamp] = labels
-        segmenter.push(frame)
-    segmenter.flush()
+    observer = _WindowKeeper(truth, parameters.outline.threshold)
+    by_rules = parameters.replace({"refine.mode": "none"})
+    with motion_segmenter(by_rules, observer) as segmenter:
+        for number, (frame, labels) in enumerate(clip):
+            if number % _STEP == 0:
+                truth[frame.stamp] = labels
+            segmenter.push(frame)
+        segmenter.flush()
     return observer.examples()
 
 
-class _Observer:
-    """Draws the rules' outlines, and keeps the windows of frames whose truth is known."""
+class _WindowKeeper(StageObserver):
+    """Keeps the windows of frames whose truth is known, with what the rules make of them."""
 
     def __init__(self, truth: dict[int, Labels], threshold: float) -> None:
         self._truth = truth
         self._threshold = threshold
         self._kept: list[tuple[Map, Map, Map]] = []
 
-    def refine(self, windows: Sequence[ObjectCrop]) -> list[Map]:
-        """Return 1 within the outlines by rules, 0 without."""
-        return [self._refined(window) for window in windows]
-
-    def _refined(self, window: ObjectCrop) -> Map:
-        ruled = np.zeros(window.box.shape, np.float32)
-        for outline in foreground_masks([window], self._threshold):
-            inside = outline.box.moved(-window.box.x0, -window.box.y0)
-            ruled[inside.slices][outline.mask] = 1.0
-        if window.stamp in self._truth:
-            objects = self._truth[window.stamp][window.box.slices] > 0
-            square = SIDE, SIDE
+    def crops(self, stamp: int, crops: Sequence[ObjectCrop]) -> None:
+        """Keep the windows of a frame, if its truth is known."""
+        if stamp not in self._truth:
+            return
+        square = SIDE, SIDE
+        for crop in crops:
+            objects = self._truth[stamp][crop.box.slices] > 0
             truth = resized(objects.astype(np.float32), square)
-            self._kept.append((window_input(window), truth, resized(ruled, square)))
+            self._kept.append((window_input(crop), truth, resized(self._ruled(crop), square)))
+
+    def _ruled(self, crop: ObjectCrop) -> Map:
+        """Return 1 within the outlines by rules, 0 without."""
+        ruled = np.zeros(crop.box.shape, np.float32)
+        for outline in foreground_masks([crop], self._threshold):
+            inside = outline.box.moved(-crop.box.x0, -crop.box.y0)
+            ruled[inside.slices][outline.mask] = 1.0
         return ruled
 
     def examples(self) -> Examples:

@@ -7,13 +7,11 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from turbseg_ros.arrays import Map
 from turbseg_ros.learning.torch_import import NetworkError
 from turbseg_ros.learning.window_input import CHANNELS, SIDE, at_window_size, window_input
 from turbseg_ros.segmentation.foreground import ObjectCrop
-
-Map = npt.NDArray[np.float32]
 
 SHIPPED = Path(__file__).parent / "weights" / "refine_net.onnx"
 """The network that comes with the package; `turbseg_train` made it."""

@@ -8,16 +8,13 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 from torchvision.models import optical_flow as models
 
+from turbseg_ros.arrays import ByteImage, Flow
 from turbseg_ros.learning.torch_import import NetworkError
-
-Flow = npt.NDArray[np.float32]
-GreyImage = npt.NDArray[np.uint8]
 
 _BUILDERS = {"raft_small": models.raft_small, "raft_large": models.raft_large}
 _PUBLISHED = {
@@ -68,7 +65,7 @@ class RaftFlow:
         _load(net, architecture, _checkpoint(architecture, weights), weights)
         self._net = net.eval().to(device=self.device, memory_format=torch.channels_last)
 
-    def flows_to(self, source: GreyImage, targets: Mapping[int, GreyImage]) -> dict[int, Flow]:
+    def flows_to(self, source: ByteImage, targets: Mapping[int, ByteImage]) -> dict[int, Flow]:
         """Return the flow F(t→t+k), HxWx2, for every neighbour {k: HxW grey, aligned to t}."""
         if not targets:
             return {}
@@ -82,7 +79,10 @@ class RaftFlow:
         cropped = flows[..., :height, :width].permute(0, 2, 3, 1).cpu().numpy()
         return {k: np.ascontiguousarray(flow) for k, flow in zip(targets, cropped, strict=True)}
 
-    def _batch(self, images: GreyImage) -> Tensor:
+    def close(self) -> None:
+        """Keep the network: others may use it, too."""
+
+    def _batch(self, images: ByteImage) -> Tensor:
         """Bring NxHxW grey values to what RAFT takes: three channels, -1 to 1, sides it likes."""
         grey = torch.from_numpy(images).to(self.device, torch.float32)[:, None] / 127.5 - 1.0
         height, width = images.shape[1:]

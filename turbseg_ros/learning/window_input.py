@@ -12,10 +12,10 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from turbseg_ros.arrays import Map
 from turbseg_ros.segmentation.background import background_in, deviation_from, difference_from
 from turbseg_ros.segmentation.foreground import ObjectCrop, guided_filter
 
-Map = npt.NDArray[np.float32]
 _Value = TypeVar("_Value", np.uint8, np.float32)
 
 SIDE = 96

@@ -11,8 +11,6 @@ from collections.abc import Callable, Hashable
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
-import numpy as np
-
 from turbseg_ros.messages.images import ImageConversionError
 from turbseg_ros.messages.stream_monitor import Action, StreamMonitor
 from turbseg_ros.nodes.diagnostics import Event, Statistics
@@ -25,7 +23,7 @@ _SECOND = 1e9
 _STOP_TIMEOUT = 8.0
 
 
-class Segmenter(Protocol):
+class LiveSegmenter(Protocol):
     """The part of `MotionSegmenter` that the worker drives."""
 
     def push(self, frame: Frame, waiting: int = 0) -> list[SegmentationResult]:
@@ -34,7 +32,7 @@ class Segmenter(Protocol):
         :param waiting: frames that wait to be pushed after it.
         """
 
-    def flush(self) -> list[SegmentationResult]:
+    def flush(self, waiting: int = 0) -> list[SegmentationResult]:
         """Return the results of all frames that still wait for later ones."""
 
     def reset(self) -> None:
@@ -42,6 +40,12 @@ class Segmenter(Protocol):
 
     def reconfigure(self, parameters: Parameters) -> None:
         """Go on with other parameters; ids go on growing."""
+
+    def empty_result(self, frame: Frame) -> SegmentationResult:
+        """Return the result of a frame in which nothing was found."""
+
+    def close(self) -> None:
+        """End the segmenter's threads."""
 
 
 @dataclass(frozen=True)
@@ -121,7 +125,7 @@ class SegmentationWorker:
 
     def __init__(
         self,
-        segmenter: Segmenter,
+        segmenter: LiveSegmenter,
         convert: Callable[[Any], Frame],
         publish: Callable[[SegmentationResult], None],
         now: Callable[[], int],
@@ -185,6 +189,8 @@ class SegmentationWorker:
         if self._thread.is_alive():
             self._logger.warning("stopping takes too long: the last frames go unanswered")
             self._abandoned = True
+        else:
+            self._segmenter.close()
 
     def _run(self) -> None:
         while self._running:
@@ -248,7 +254,10 @@ class SegmentationWorker:
         self._flush()
 
     def _flush(self) -> None:
-        self._answer(self._segmenter.flush, "the last images before a pause")
+        self._answer(
+            functools.partial(self._segmenter.flush, waiting=self.waiting),
+            "the last images before a pause",
+        )
         if self._unanswered:
             self._recover("images were left without a result")
 
@@ -268,7 +277,7 @@ class SegmentationWorker:
         self._monitor.forget()
         self._segmenter.reset()
         for frame, _ in list(self._unanswered.values()):
-            self._publish_answer(_empty_result(frame))
+            self._publish_answer(self._segmenter.empty_result(frame))
 
     def _publish_answer(self, result: SegmentationResult) -> None:
         stamp = result.frame.stamp
@@ -299,15 +308,3 @@ class SegmentationWorker:
 def _seconds(stamp: int) -> str:
     """Return a stamp in nanoseconds as ROS tools show it."""
     return f"{stamp // 10**9}.{stamp % 10**9:09d}"
-
-
-def _empty_result(frame: Frame) -> SegmentationResult:
-    size = frame.image.shape[:2]
-    return SegmentationResult(
-        frame=frame,
-        labels=np.zeros(size, np.uint16),
-        objects=(),
-        motion_map=np.zeros(size, np.float32),
-        tilt=float("nan"),
-        ego_motion_model="none",
-    )

@@ -7,15 +7,11 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from turbseg_ros.arrays import Flow, Map, Matrix
 from turbseg_ros.segmentation.cropped_mask import CroppedMask, convex_hull
 from turbseg_ros.segmentation.motion import MotionEstimate
 from turbseg_ros.segmentation.region_growing import Region, Seed
-
-Flow = npt.NDArray[np.float32]
-Map = npt.NDArray[np.float32]
-Matrix = npt.NDArray[np.float64]
 
 SMEAR = 7
 """Pixels at processing resolution by which flow smears past an edge."""

@@ -16,15 +16,12 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from turbseg_ros.arrays import ByteImage, Map, Mask, Matrix
 from turbseg_ros.segmentation.cropped_mask import Box, CroppedMask
 from turbseg_ros.segmentation.exposure import AS_IT_IS, Exposure
 from turbseg_ros.segmentation.geometry import scaling, translation, upper_median
 
-Map = npt.NDArray[np.float32]
-Mask = npt.NDArray[np.bool_]
-Image = npt.NDArray[np.uint8]
 Counts = npt.NDArray[np.int32]
-Matrix = npt.NDArray[np.float64]
 
 # A pixel's background is known once so many frames have shown it.
 _MIN_SAMPLES = 3
@@ -52,7 +49,7 @@ class MaskedImage:
     `image` is HxWx(C+1), C 1 or 3: its last channel is 255 where objects are, else 0.
     """
 
-    image: Image
+    image: ByteImage
 
     @functools.cached_property
     def half(self) -> MaskedImage:
@@ -74,7 +71,7 @@ class AlignedFrame:
     exposure: Exposure = AS_IT_IS
 
 
-def unmasked(picture: Image) -> MaskedImage:
+def unmasked(picture: ByteImage) -> MaskedImage:
     """Return the scene that a picture, HxW or HxWxC, shows, no objects hiding it."""
     channels = picture.shape[2] if picture.ndim == 3 else 1
     image = np.zeros((*picture.shape[:2], channels + 1), np.uint8)
@@ -123,7 +120,7 @@ def background_in(
     )
 
 
-def _without_hidden(samples: Image) -> Counts:
+def _without_hidden(samples: ByteImage) -> Counts:
     """Have the samples that objects hide sort last; return how many each pixel has besides, hxw.
 
     :param samples: Nxhxwx(C+1), written to.
@@ -137,7 +134,7 @@ def _without_hidden(samples: Image) -> Counts:
     return count
 
 
-def _quantile(ordered: Image, count: Counts, quarters: int) -> Image:
+def _quantile(ordered: ByteImage, count: Counts, quarters: int) -> ByteImage:
     """Return so many quarters' quantile of the first `count` values of each pixel, hxwx(C+1).
 
     :param ordered: Nxhxwx(C+1), the least first; it may have more columns than `count`.
@@ -149,19 +146,19 @@ def _quantile(ordered: Image, count: Counts, quarters: int) -> Image:
     return chosen.view(np.uint8).reshape(*count.shape, channels)
 
 
-def _as_numbers(picture: Image) -> npt.NDArray[np.signedinteger[Any]]:
+def _as_numbers(picture: ByteImage) -> npt.NDArray[np.signedinteger[Any]]:
     """Return a picture's pixels as one number each: all its channels, two or four, at once."""
     numbers: npt.NDArray[np.signedinteger[Any]] = picture.view(f"<i{picture.shape[-1]}")[..., 0]
     return numbers
 
 
-def _without_last(picture: Image) -> Image:
+def _without_last(picture: ByteImage) -> ByteImage:
     """Return a picture, hxwx(C+1), without its last channel."""
     # NumPy would copy pixel by pixel, which takes five times as long.
     return cv2.merge(cv2.split(picture)[:-1]).reshape(*picture.shape[:2], -1)
 
 
-def _ordered(pictures: Iterable[Image]) -> list[Image]:
+def _ordered(pictures: Iterable[ByteImage]) -> list[ByteImage]:
     """Sort the values of each pixel over pictures of one size, the least first.
 
     A sorting network works on whole pictures; NumPy would sort pixel by pixel, which takes long.
@@ -191,7 +188,7 @@ def _sorting_network(count: int) -> tuple[tuple[int, int], ...]:
     return tuple(pairs)
 
 
-def difference_from(background: Background, image: Image) -> Map:
+def difference_from(background: Background, image: ByteImage) -> Map:
     """Return the difference in grey values of each pixel, of the channel that differs most, hxw.
 
     :param image: hxwxC, the same part of the reference frame.
@@ -199,7 +196,7 @@ def difference_from(background: Background, image: Image) -> Map:
     return largest(np.abs(image - background.median))
 
 
-def deviation_from(background: Background, image: Image, tilt: float) -> Map:
+def deviation_from(background: Background, image: ByteImage, tilt: float) -> Map:
     """Return by how many standard deviations each pixel differs from the background, hxw.
 
     A pixel's variance is what was seen there, not less than what is usual in the picture, and
@@ -250,7 +247,7 @@ def _squared_slope(picture: Map) -> Map:
     return squared.reshape(picture.shape)
 
 
-def _sampled(views: Sequence[AlignedFrame], box: Box, shape: tuple[int, int]) -> Image:
+def _sampled(views: Sequence[AlignedFrame], box: Box, shape: tuple[int, int]) -> ByteImage:
     """Resample views in a box, Nxhxwx(C+1); what is out of view counts as hidden.
 
     On the right there may be columns more than asked for.

@@ -12,10 +12,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from turbseg_ros.arrays import Mask, Matrix
 from turbseg_ros.segmentation.geometry import scaling, translation
-
-Mask = npt.NDArray[np.bool_]
-Matrix = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from turbseg_ros.arrays import ByteImage, Matrix
 from turbseg_ros.segmentation.geometry import scaling, upper_median
 
-Matrix = npt.NDArray[np.float64]
-ByteImage = npt.NDArray[np.uint8]
 Samples = npt.NDArray[np.float32]
 
 # Every so many pixels each way one is compared.

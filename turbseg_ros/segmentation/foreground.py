@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from turbseg_ros.arrays import ByteImage, Map, Mask
 from turbseg_ros.segmentation.areas import MovingArea
 from turbseg_ros.segmentation.background import (
     AlignedFrame,
@@ -21,10 +22,6 @@ from turbseg_ros.segmentation.background import (
 )
 from turbseg_ros.segmentation.cropped_mask import Box, CroppedMask, union_mask
 from turbseg_ros.segmentation.motion import MotionEstimate
-
-Map = npt.NDArray[np.float32]
-Mask = npt.NDArray[np.bool_]
-Image = npt.NDArray[np.uint8]
 
 # Pixels around what moves that are looked at with it.
 _MARGIN = 8
@@ -64,25 +61,23 @@ class ObjectCrop:
 
     `image` is hxwxC; `area` tells where to look; `views` show the scene at other times; `motion`
     is hxw, the motion map M in units of its noise; `tilt` is the rms turbulent motion an axis in
-    pixels; `stamp` is the frame's, in nanoseconds.
+    pixels.
     """
 
     box: Box
-    image: Image
+    image: ByteImage
     views: Sequence[AlignedFrame]
     area: AreaMasks
     motion: Map
     tilt: float
-    stamp: int
 
 
 def object_crops(
-    image: Image,
+    image: ByteImage,
     areas: Sequence[MovingArea],
     views: Sequence[AlignedFrame],
     motion: MotionEstimate,
     tilt: float,
-    stamp: int,
 ) -> list[ObjectCrop]:
     """Gather what is known of moving areas; those that touch are looked at together.
 
@@ -115,7 +110,6 @@ def object_crops(
                 area=AreaMasks(labels == labels[row, column], probable[cut], certain[cut]),
                 motion=_cropped(strength, box, shape),
                 tilt=tilt,
-                stamp=stamp,
             )
         )
     return crops
@@ -136,7 +130,7 @@ def foreground_masks(crops: Sequence[ObjectCrop], threshold: float) -> list[Crop
 
 
 def foreground_mask(
-    background: Background, image: Image, area: AreaMasks, tilt: float, threshold: float
+    background: Background, image: ByteImage, area: AreaMasks, tilt: float, threshold: float
 ) -> Mask:
     """Return what stands out from the background where something moves, hxw.
 
@@ -184,7 +178,7 @@ def _is_debris(part: Mask, other: Mask) -> bool:
     return bool(close and np.count_nonzero(part) < _DEBRIS * large)
 
 
-def without_shadow(mask: Mask, image: Image, background: Background) -> Mask:
+def without_shadow(mask: Mask, image: ByteImage, background: Background) -> Mask:
     """Take an object's shadow off its mask, hxw.
 
     A shadow lies below its object, darkens what it falls on without changing its colour
@@ -247,7 +241,7 @@ def _usual_difference(difference: Map, certain: Mask) -> Map:
     return nearby
 
 
-def _cut_by_colour(background: Background, image: Image, score: Map, area: AreaMasks) -> Mask:
+def _cut_by_colour(background: Background, image: ByteImage, score: Map, area: AreaMasks) -> Mask:
     """Return objects from background by GrabCut (Rother et al. 2004), hxw.
 
     It starts from what the background tells where it is known, and from the motion elsewhere.

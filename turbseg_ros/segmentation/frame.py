@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Protocol
 
+import cv2
 import numpy as np
-import numpy.typing as npt
 
-Image = npt.NDArray[Any]
+from turbseg_ros.arrays import Image, Labels, Map, Mask
 
 _MAX_LABELS = 65535
 
@@ -60,6 +60,37 @@ class MovingObject:
         """What marks its pixels in the labels."""
         return label_of(self.id)
 
+    @classmethod
+    def from_mask(
+        cls,
+        mask: Mask,
+        id: int,  # as the field is called
+        slot: int = -1,
+        velocity: tuple[float, float] = (0.0, 0.0),
+        trail: tuple[tuple[float, float], ...] = (),
+        origin: tuple[int, int] = (0, 0),
+    ) -> MovingObject:
+        """Return the object that a mask, hxw, shows: its centroid, area and box by the mask.
+
+        :param origin: (x, y) of the mask's first pixel in the image.
+        :raises ValueError: when the mask holds nothing.
+        """
+        pixels = mask.view(np.uint8)
+        moments = cv2.moments(pixels, binaryImage=True)
+        area = moments["m00"]
+        if not area:
+            raise ValueError("an object needs a pixel")
+        x, y, width, height = cv2.boundingRect(pixels)
+        return cls(
+            id=id,
+            slot=slot,
+            centroid=(moments["m10"] / area + origin[0], moments["m01"] / area + origin[1]),
+            velocity=velocity,
+            area=int(area),
+            box=(x + origin[0], y + origin[1], width, height),
+            trail=trail,
+        )
+
 
 @dataclass(frozen=True)
 class SegmentationResult:
@@ -74,12 +105,27 @@ class SegmentationResult:
     """
 
     frame: Frame
-    labels: npt.NDArray[np.uint16]
+    labels: Labels
     objects: tuple[MovingObject, ...]
-    motion_map: npt.NDArray[np.float32]
+    motion_map: Map
     tilt: float
     ego_motion_model: str
     coasted: bool = False
+
+    @classmethod
+    def empty(cls, frame: Frame, motion_shape: tuple[int, int] = (0, 0)) -> SegmentationResult:
+        """Return the result of a frame in which nothing is found.
+
+        :param motion_shape: rows and columns of the motion map, which is 0 all over.
+        """
+        return cls(
+            frame=frame,
+            labels=np.zeros(frame.image.shape[:2], np.uint16),
+            objects=(),
+            motion_map=np.zeros(motion_shape, np.float32),
+            tilt=float("nan"),
+            ego_motion_model="none",
+        )
 
 
 def label_of(object_id: int) -> int:

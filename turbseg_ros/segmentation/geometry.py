@@ -12,9 +12,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-Flow = npt.NDArray[np.float32]
-Map = npt.NDArray[np.float32]
-Matrix = npt.NDArray[np.float64]
+from turbseg_ros.arrays import Flow, Map, Matrix
 
 _GRID = 8
 _SAMPLES = 2000

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import linear_sum_assignment
 
+from turbseg_ros.arrays import Matrix, Point
 from turbseg_ros.segmentation.cropped_mask import CroppedMask
 from turbseg_ros.segmentation.track import (
     SHAPE_SPAN,
@@ -19,9 +19,6 @@ from turbseg_ros.segmentation.track import (
     divided_among,
     joined,
 )
-
-Matrix = npt.NDArray[np.float64]
-Point = npt.NDArray[np.float64]
 
 _UNMATCHABLE = 1e6
 # How far a centroid may stray from its prediction, in diagonals of the object.

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from turbseg_ros.arrays import Matrix, Point
 from turbseg_ros.segmentation.cropped_mask import CroppedMask
 from turbseg_ros.segmentation.track import (
     Detection,
@@ -16,10 +17,6 @@ from turbseg_ros.segmentation.track import (
     Track,
     Tracker,
 )
-
-Mask = npt.NDArray[np.bool_]
-Matrix = npt.NDArray[np.float64]
-Point = npt.NDArray[np.float64]
 
 
 class KMeansIds:
@@ -90,7 +87,8 @@ class KMeansIds:
 def kmeans_ids(centroids: Sequence[Point], count: int) -> npt.NDArray[np.int64]:
     """Return every mask of a clip an id from 1 to `count` by where its centroid lies.
 
-    The paper's mask ID unification: K-means over the centroids of all frames. It needs the whole
+    The paper's mask ID unification, eq. 4: K-means over the centroids of all frames. It needs the
+    whole
     clip and its number of objects, and it splits an object that crosses the view.
 
     :param centroids: (x, y) of each mask of all frames.

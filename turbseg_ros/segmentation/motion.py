@@ -2,26 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Protocol
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from turbseg_ros.arrays import Flow, Map, Mask
 from turbseg_ros.segmentation import flow as optical_flow
 from turbseg_ros.segmentation import geometry
-
-Flow = npt.NDArray[np.float32]
-Map = npt.NDArray[np.float32]
-Mask = npt.NDArray[np.bool_]
-
-Average = Callable[[Mapping[int, Flow], Mapping[int, Map]], tuple[Flow, Map]]
-"""Makes one velocity of a pixel's flows, HxWx2 in pixels a frame.
-
-Beside it, its standard error for flows of unit variance, HxW; inf where there are too few.
-"""
+from turbseg_ros.segmentation.average import Average, MeanAverage
 
 # Temporal correlation of tilt at lags 1 to 8, at 30 Hz, as seen on a real clip; beyond, it is 0.1.
 _TILT_CORRELATION = (1.0, 0.6, 0.35, 0.25, 0.2, 0.17, 0.15, 0.12, 0.1)
@@ -57,59 +49,101 @@ class MotionEstimate:
     ego_motion_model: str
 
 
-def slope_velocity(flows: Mapping[int, Flow], weights: Mapping[int, Map]) -> tuple[Flow, Map]:
-    """Fit a line through the flows, see `flow.slope_flow`; an `Average`."""
-    return optical_flow.combined(flows, weights, optical_flow.slope_shares)
+class MotionMeasure(Protocol):
+    """Measures how far each pixel breaks the camera's own motion: the motion feature map M."""
+
+    def intervals(self, interval: int) -> list[int]:
+        """Return the intervals k whose flows F(t→t+k) are wanted, `interval` being in use."""
+
+    def motions(
+        self, flows: Mapping[int, Flow], valid: Mapping[int, Map], interval: int
+    ) -> list[MotionEstimate]:
+        """Return estimates of the motion, over a short baseline first, then longer ones, if any.
+
+        :param flows: {k: F(t→t+k)} to neighbours that are roughly aligned, HxWx2 in pixels; some
+            of the intervals wanted may be missing.
+        :param valid: {k: HxW}, 1 where the pixel is seen in frame t+k, else 0.
+        """
 
 
-def mean_velocity(flows: Mapping[int, Flow], weights: Mapping[int, Map]) -> tuple[Flow, Map]:
-    """Average the flows a frame, the paper's eq. 1 over what a pixel has; an `Average`."""
-    return optical_flow.combined(flows, weights, optical_flow.mean_shares)
+@dataclass(frozen=True)
+class AffineMotion:
+    """M is what a robust affine ego-motion leaves of the averaged flow, in place of eq. 2."""
+
+    average: Average
+
+    def intervals(self, interval: int) -> list[int]:
+        """Return those of the average."""
+        return self.average.intervals(interval)
+
+    def motions(
+        self, flows: Mapping[int, Flow], valid: Mapping[int, Map], interval: int
+    ) -> list[MotionEstimate]:
+        """Measure over each baseline of the average; see `MotionMeasure`."""
+        baselines = self.average.baselines(list(flows), interval)
+        residuals = _residuals(flows, valid)
+        return _estimates(residuals, residuals, valid, baselines, self.average, "affine")
 
 
-def affine_motions(
-    flows: Mapping[int, Flow],
-    weights: Mapping[int, Map],
-    spans: Sequence[Sequence[int]],
-    average: Average = slope_velocity,
-) -> list[MotionEstimate]:
-    """Measure motion as the average of the flows less an affine ego-motion.
+@dataclass(frozen=True)
+class UncheckedMotion:
+    """M is the averaged flow itself, as in the paper's ablation of eq. 2.
 
-    :param flows: {i: F(t→t+i)} in pixels, HxWx2, neighbours already roughly aligned.
-    :param weights: {i: HxW}, 1 where the pixel is seen in frame t+i, else 0.
-    :param spans: sets of intervals, each of which gives an estimate.
+    Only what the alignment of the neighbours took out is missing from it.
     """
-    residuals = _residuals(flows, weights)
-    return _estimates(residuals, residuals, weights, spans, average, "affine")
+
+    average: Average
+
+    def intervals(self, interval: int) -> list[int]:
+        """Return those of the average."""
+        return self.average.intervals(interval)
+
+    def motions(
+        self, flows: Mapping[int, Flow], valid: Mapping[int, Map], interval: int
+    ) -> list[MotionEstimate]:
+        """Measure over each baseline of the average; see `MotionMeasure`."""
+        baselines = self.average.baselines(list(flows), interval)
+        residuals = _residuals(flows, valid)
+        return _estimates(flows, residuals, valid, baselines, self.average, "none")
 
 
-def unchecked_motions(
-    flows: Mapping[int, Flow],
-    weights: Mapping[int, Map],
-    spans: Sequence[Sequence[int]],
-    average: Average = slope_velocity,
-) -> list[MotionEstimate]:
-    """Measure motion as the average of the flows alone, as the paper's ablation of eq. 2 does.
+@dataclass(frozen=True)
+class SampsonMotion:
+    """M as the paper has it: eq. 1 for each set of intervals, then eq. 2, averaged.
 
-    Only what the alignment of the neighbours took out is missing from it. For the parameters see
-    `affine_motions`; the tilt is measured as there.
+    It is the root of the averaged squared distance, so that it stays in pixels a frame.
+
+    :param widest: B, the largest interval.
+    :param causal: whether frames to come are out of reach.
     """
-    return _estimates(flows, _residuals(flows, weights), weights, spans, average, "none")
+
+    widest: int
+    causal: bool = False
+
+    def intervals(self, interval: int) -> list[int]:
+        """Return those of the paper's eq. 1, whatever interval is in use."""
+        return MeanAverage(self.widest, self.causal).intervals(interval)
+
+    def motions(
+        self, flows: Mapping[int, Flow], valid: Mapping[int, Map], interval: int
+    ) -> list[MotionEstimate]:
+        """Measure over all baselines at once; see `MotionMeasure`."""
+        return [sampson_motion(flows, valid, interval_sets(self.widest))]
 
 
 def _estimates(
     flows: Mapping[int, Flow],
     residuals: Mapping[int, Flow],
-    weights: Mapping[int, Map],
-    spans: Sequence[Sequence[int]],
+    valid: Mapping[int, Map],
+    baselines: Sequence[Sequence[int]],
     average: Average,
     ego_motion_model: str,
 ) -> list[MotionEstimate]:
-    """Average `flows` over each span; tilt is told by the `residuals`."""
-    tilt = measured_tilt(residuals, weights)
+    """Average `flows` over each baseline; tilt is told by the `residuals`."""
+    tilt = measured_tilt(residuals, valid)
     return [
-        _estimate(*average(_of(flows, span), _of(weights, span)), tilt, ego_motion_model)
-        for span in spans
+        _estimate(*average(_of(flows, those), _of(valid, those)), tilt, ego_motion_model)
+        for those in baselines
     ]
 
 
@@ -159,21 +193,21 @@ def merged(motion: MotionEstimate, other: MotionEstimate, where: Mask) -> Motion
 
 def sampson_motion(
     flows: Mapping[int, Flow],
-    weights: Mapping[int, Map],
-    interval_sets: Sequence[Sequence[int]],
+    valid: Mapping[int, Map],
+    sets: Sequence[Sequence[int]],
 ) -> MotionEstimate:
-    """Measure motion as the paper does: eq. 1 for each set of intervals, then eq. 2, averaged.
+    """Measure motion as the paper does; see `SampsonMotion`.
 
-    M is the root of the averaged squared distance, so that it stays in pixels a frame.
-
-    :param interval_sets: the sets K of eq. 1; those with an interval that `flows` lacks are left
+    :param flows: {k: F(t→t+k)}, HxWx2 in pixels.
+    :param valid: {k: HxW}, 1 where the pixel is seen in frame t+k, else 0.
+    :param sets: the sets K of eq. 1; those with an interval that `flows` lacks are left
         out.
     """
-    kept = [chosen for chosen in interval_sets if all(i in flows for i in chosen)]
+    kept = [chosen for chosen in sets if all(i in flows for i in chosen)]
     if not kept:
         kept = [tuple(flows)]
     shape = next(iter(flows.values())).shape[:2]
-    visible = np.minimum.reduce(list(weights.values())) > 0
+    visible = np.minimum.reduce(list(valid.values())) > 0
     distances = []
     for chosen in kept:
         stabilised = optical_flow.mean_flow(flows, chosen)
@@ -184,19 +218,29 @@ def sampson_motion(
         np.sqrt(np.mean(distances, axis=0)) if distances else np.zeros(shape, np.float32)
     )
     motion_map[~visible] = 0.0
-    residuals = _residuals(flows, weights)
+    residuals = _residuals(flows, valid)
     noise = max(_robust_deviation(_sample(motion_map)[_sample(visible)]), _MIN_NOISE)
     return MotionEstimate(
-        velocity=optical_flow.slope_flow(residuals, weights),
+        velocity=optical_flow.slope_flow(residuals, valid),
         motion_map=motion_map,
         noise=np.full(shape, noise, np.float32),
-        tilt=measured_tilt(residuals, weights),
+        tilt=measured_tilt(residuals, valid),
         visible=visible,
         ego_motion_model="fundamental",
     )
 
 
-def measured_tilt(residuals: Mapping[int, Flow], weights: Mapping[int, Map]) -> float:
+def interval_sets(widest: int) -> list[tuple[int, ...]]:
+    """Return the symmetric sets K of eq. 1 that the authors' code uses, up to the widest interval.
+
+    They are ±2, ±3, ±4, ±1 with ±2, and ±2 with ±3; for B = 1 only ±1 is left.
+    """
+    single: list[tuple[int, ...]] = [(k, -k) for k in range(2, widest + 1)]
+    double: list[tuple[int, ...]] = [(k, -k, k + 1, -k - 1) for k in (1, 2) if k < widest]
+    return (single + double) or [(1, -1)]
+
+
+def measured_tilt(residuals: Mapping[int, Flow], valid: Mapping[int, Map]) -> float:
     """Measure the rms turbulent tilt an axis, in pixels, from two flows that share a velocity.
 
     (F(t→t+k) + F(t→t-k))/2, or with all on one side F(t→t+k) - F(t→t+2k)/2, cancels every
@@ -204,7 +248,7 @@ def measured_tilt(residuals: Mapping[int, Flow], weights: Mapping[int, Map]) -> 
     The widest such pair counts; the median over the picture leaves objects out. NaN without one.
 
     :param residuals: {k: F(t→t+k) less the ego-motion}, HxWx2.
-    :param weights: {k: HxW}, 0 where the pixel isn't seen in frame t+k, else 1.
+    :param valid: {k: HxW}, 0 where the pixel isn't seen in frame t+k, else 1.
     """
     both_sides = [k for k in residuals if k > 0 and -k in residuals]
     one_side = [k for k in residuals if 2 * k in residuals]
@@ -214,7 +258,7 @@ def measured_tilt(residuals: Mapping[int, Flow], weights: Mapping[int, Map]) -> 
     other, share = (-k, 0.5) if both_sides else (2 * k, -0.5)
     first = 0.5 if both_sides else 1.0
     left = first * _sample(residuals[k]) + share * _sample(residuals[other])
-    left = left[(_sample(weights[k]) > 0) & (_sample(weights[other]) > 0)]
+    left = left[(_sample(valid[k]) > 0) & (_sample(valid[other]) > 0)]
     if not len(left):
         return float("nan")
     # Three tilts, k frames apart: the middle one less half of each other.
@@ -237,12 +281,12 @@ def _tilt_correlation(lag: int) -> float:
     return _TILT_CORRELATION[min(abs(lag), len(_TILT_CORRELATION) - 1)]
 
 
-def _residuals(flows: Mapping[int, Flow], weights: Mapping[int, Map]) -> dict[int, Flow]:
-    return {i: _less_ego_motion(flow, weights[i]) for i, flow in flows.items()}
+def _residuals(flows: Mapping[int, Flow], valid: Mapping[int, Map]) -> dict[int, Flow]:
+    return {i: _less_ego_motion(flow, valid[i]) for i, flow in flows.items()}
 
 
-def _less_ego_motion(flow: Flow, weights: Map) -> Flow:
-    coefficients = geometry.fit_affine_flow(flow, weights)
+def _less_ego_motion(flow: Flow, valid: Map) -> Flow:
+    coefficients = geometry.fit_affine_flow(flow, valid)
     ego_motion = geometry.affine_flow(coefficients, (flow.shape[0], flow.shape[1]))
     residual: Flow = cv2.subtract(flow, ego_motion)
     return residual

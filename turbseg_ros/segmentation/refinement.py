@@ -8,13 +8,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
-import numpy as np
-import numpy.typing as npt
-
+from turbseg_ros.arrays import Map
 from turbseg_ros.segmentation.cropped_mask import CroppedMask
 from turbseg_ros.segmentation.foreground import ObjectCrop, opened, separated
-
-Map = npt.NDArray[np.float32]
 
 
 class Refiner(Protocol):

@@ -9,11 +9,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from turbseg_ros.arrays import Map, Mask
 from turbseg_ros.segmentation.cropped_mask import Box, CroppedMask
 from turbseg_ros.segmentation.motion import MotionEstimate
-
-Map = npt.NDArray[np.float32]
-Mask = npt.NDArray[np.bool_]
 
 _FREE, _TAKEN = 0, 1
 

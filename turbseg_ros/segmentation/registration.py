@@ -12,11 +12,10 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from turbseg_ros.arrays import ByteImage, Matrix
 from turbseg_ros.segmentation.exposure import exposure_between
 from turbseg_ros.segmentation.geometry import pixel_grid, translation
 
-Matrix = npt.NDArray[np.float64]
-GreyImage = npt.NDArray[np.uint8]
 Points = npt.NDArray[np.float32]
 
 # Corners are taken from all over the picture, faint ones too: with strong ones alone, an affine
@@ -37,7 +36,7 @@ _MIN_OVERLAP = 0.25
 _MAX_CHANGE_OF_SHAPE = 0.1
 
 
-def phase_correlation(source: GreyImage, target: GreyImage) -> tuple[Matrix, float]:
+def phase_correlation(source: ByteImage, target: ByteImage) -> tuple[Matrix, float]:
     """Return the translation that takes `source` to `target`, and the peak that shows it.
 
     The peak is 1 for a pure translation. A picture of one grey value lies anywhere: it gets the
@@ -60,7 +59,7 @@ def _hanning_window(size: tuple[int, int]) -> npt.NDArray[np.float32]:
     return cv2.createHanningWindow(size, cv2.CV_32F)
 
 
-def register_affine(source: GreyImage, target: GreyImage) -> Matrix | None:
+def register_affine(source: ByteImage, target: ByteImage) -> Matrix | None:
     """Return the affine transform that takes `source` to `target`.
 
     Corners are followed by pyramidal Lucas-Kanade from where the translation puts them, and an
@@ -86,7 +85,7 @@ def register_affine(source: GreyImage, target: GreyImage) -> Matrix | None:
     return found
 
 
-def _corners(half: GreyImage) -> Points:
+def _corners(half: ByteImage) -> Points:
     """Find corners in a picture of half the size; return them in pixels of the whole, Nx1x2."""
     corners = cv2.goodFeaturesToTrack(half, _CORNERS, _MIN_QUALITY, _CORNER_DISTANCE)
     if corners is None:
@@ -96,7 +95,7 @@ def _corners(half: GreyImage) -> Points:
 
 
 def _affine_of_corners(
-    source: GreyImage, target: GreyImage, corners: Points, shift: npt.NDArray[np.float64]
+    source: ByteImage, target: ByteImage, corners: Points, shift: npt.NDArray[np.float64]
 ) -> Matrix | None:
     """Return the 2x3 transform that most corners agree on; None when they are too few.
 
@@ -125,7 +124,7 @@ def _affine_of_corners(
     return None if affine is None else np.asarray(affine)
 
 
-def _correlation(source: GreyImage, target: GreyImage, transform: Matrix) -> float:
+def _correlation(source: ByteImage, target: ByteImage, transform: Matrix) -> float:
     """Return the correlation of grey values where `transform` lays one picture over another."""
     seen = visible((source.shape[0], source.shape[1]), transform)
     if np.count_nonzero(seen) < _MIN_OVERLAP * seen.size:

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from turbseg_ros.segmentation.frame import Image
+from turbseg_ros.arrays import ByteImage, Image
 
 _LOW_PERCENTILE, _HIGH_PERCENTILE = 0.5, 99.5
 # Room left beyond the percentiles, as a fraction of their distance, so that little saturates.
@@ -33,7 +33,7 @@ class ToneMap:
         """Forget the range: the next frame sets it anew."""
         self._range = None
 
-    def __call__(self, image: Image) -> npt.NDArray[np.uint8]:
+    def __call__(self, image: Image) -> ByteImage:
         """Return the 8-bit picture of an image, same shape.
 
         NaN and infinities count as the darkest grey.

@@ -14,12 +14,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from turbseg_ros.arrays import Mask, Matrix, Point
 from turbseg_ros.segmentation.cropped_mask import Box, CroppedMask
 from turbseg_ros.segmentation.geometry import translation
-
-Mask = npt.NDArray[np.bool_]
-Matrix = npt.NDArray[np.float64]
-Point = npt.NDArray[np.float64]
 
 _TRAIL_LENGTH = 60
 # Share of the way its flow claims that an object must really have come, or it ends: flow bleeds

@@ -2,127 +2,21 @@
 
 from __future__ import annotations
 
-import functools
 import itertools
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
-import numpy.typing as npt
 
-from turbseg_ros.segmentation.background import MaskedImage, unmasked, with_objects_masked
+from turbseg_ros.arrays import ByteImage, Matrix
+from turbseg_ros.segmentation.background import with_objects_masked
 from turbseg_ros.segmentation.cropped_mask import CroppedMask
 from turbseg_ros.segmentation.exposure import exposure_between
-from turbseg_ros.segmentation.geometry import scaling
+from turbseg_ros.segmentation.preparation import PreparedFrame
 from turbseg_ros.segmentation.registration import align, register_affine
 
-Mask = npt.NDArray[np.bool_]
-Matrix = npt.NDArray[np.float64]
-ByteImage = npt.NDArray[np.uint8]
-
-# Flow needs so many pixels each way.
-_MIN_SIDE = 16
 # With fewer views of it, the median of the background is a matter of chance.
 _ENOUGH_KEY_FRAMES = 6
-
-
-@dataclass(frozen=True)
-class Resolution:
-    """The sizes (width, height) a frame is worked on: as it came, for flow, for outlines."""
-
-    input: tuple[int, int]
-    processing: tuple[int, int]
-    detail: tuple[int, int]
-
-    @classmethod
-    def of(cls, shape: tuple[int, ...], processing_width: int, detail_width: int) -> Resolution:
-        """Choose the sizes for an image of `shape`.
-
-        Both widths are those of a 16:9 picture; others get the same number of pixels. Flow is
-        always computed at that size, a small image is enlarged for it; outlines are drawn at the
-        detail size or, when that is smaller, at the input's.
-        """
-        height, width = shape[:2]
-
-        def scaled(pixels: float) -> tuple[int, int]:
-            scale = np.sqrt(pixels / (width * height))
-            # A strip is widened for flow to fit in, at the cost of its length.
-            longest = round(pixels) // _MIN_SIDE
-            x, y = (
-                min(max(round(side * scale), _MIN_SIDE), max(longest, _MIN_SIDE))
-                for side in (width, height)
-            )
-            return x, y
-
-        return cls(
-            input=(width, height),
-            processing=scaled(processing_width**2 * 9 / 16),
-            detail=scaled(min(detail_width**2 * 9 / 16, width * height)),
-        )
-
-    @property
-    def detail_from_processing(self) -> tuple[float, float]:
-        """Factors in x and y from processing to detail pixels."""
-        return (
-            self.detail[0] / self.processing[0],
-            self.detail[1] / self.processing[1],
-        )
-
-    def to_detail(self, transform: Matrix) -> Matrix:
-        """Return a transform between processing images as one between detail images."""
-        scale = scaling(*self.detail_from_processing)
-        result: Matrix = scale @ transform @ np.linalg.inv(scale)
-        return result
-
-
-@dataclass(frozen=True)
-class PreparedFrame:
-    """A frame as the stages need it.
-
-    `grey` is at processing resolution, uint8, `scene` is the picture at detail resolution, its
-    objects hidden once `objects_known`;
-    `from_previous` takes the pixels (of `grey`) of the frame before in the window to this one's;
-    `continues` tells whether the two have anything in common.
-    """
-
-    index: int
-    grey: ByteImage
-    scene: MaskedImage
-    from_previous: Matrix
-    continues: bool = True
-    objects_known: bool = False
-
-    @functools.cached_property
-    def to_previous(self) -> Matrix:
-        """What takes this frame's pixels to those of the frame before."""
-        return np.asarray(np.linalg.inv(self.from_previous))
-
-    @property
-    def detail(self) -> ByteImage:
-        """The picture at detail resolution, HxWxC, uint8."""
-        return self.scene.image[..., :-1]
-
-
-def prepare(
-    picture: ByteImage,
-    resolution: Resolution,
-    index: int,
-    previous: PreparedFrame | None,
-) -> PreparedFrame:
-    """Scale an 8-bit picture, HxW or HxWx3, and register it to the frame before."""
-    detail = _shrunk(picture, resolution.detail)
-    grey = cv2.cvtColor(detail, cv2.COLOR_BGR2GRAY) if detail.ndim == 3 else detail
-    grey = _resized(grey, resolution.processing)
-    motion = None if previous is None else register_affine(previous.grey, grey)
-    from_previous = np.eye(3) if motion is None else motion
-    return PreparedFrame(
-        index=index,
-        grey=grey,
-        scene=unmasked(detail),
-        from_previous=from_previous,
-        continues=motion is not None,
-    )
 
 
 @dataclass(frozen=True)
@@ -187,23 +81,19 @@ class FrameWindow:
         self._frames[prepared.index] = prepared
         self._count += 1
 
-    def ready(self, ended: bool = False, at_most: int = 1) -> Iterator[int]:
-        """Give, in order, the index of each frame that can be segmented now.
+    def pop_ready(self, ended: bool = False) -> int | None:
+        """Return the index of the next frame that can be segmented now, each once, in order.
 
-        The first frames lack a past, so they wait for a longer future. What has piled up by then
-        is worked off beside what comes, `at_most` so many at once, lest the camera's frames pile
-        up instead. When the stream has `ended`, every frame is ready.
+        The first frames lack a past, so they wait for a longer future. When the stream has
+        `ended`, every frame is ready. Frames that only earlier ones needed are forgotten.
         """
-        given = 0
-        while self._next_centre < self._count:
-            late = self._count - self._next_centre > self._look_ahead
-            due = late and self._count >= self._warm_up and given < at_most
-            if not (ended or due):
-                return
-            given += 1
-            self._next_centre += 1
-            yield self._next_centre - 1
-            self._forget()
+        self._forget()
+        is_late = self._count - self._next_centre > self._look_ahead
+        is_due = is_late and self._count >= self._warm_up
+        if self._next_centre >= self._count or not (ended or is_due):
+            return None
+        self._next_centre += 1
+        return self._next_centre - 1
 
     def mark_objects(self, index: int, objects: Iterable[CroppedMask]) -> None:
         """Remember which pixels of a frame are objects, not background."""
@@ -312,28 +202,3 @@ class FrameWindow:
                     heir,
                     from_previous=heir.from_previous @ dropped.from_previous,
                 )
-
-
-def _shrunk(image: ByteImage, size: tuple[int, int]) -> ByteImage:
-    """Return an image at a size (width, height) that is not larger; never the caller's own buffer.
-
-    OpenCV averages over whole pixels many times as fast as over fractions of them.
-    """
-    if (image.shape[1], image.shape[0]) == size:
-        return image.copy()
-    factor = min(image.shape[1] // size[0], image.shape[0] // size[1])
-    if factor > 1:
-        whole = (image.shape[1] // factor, image.shape[0] // factor)
-        image = cv2.resize(image, whole, interpolation=cv2.INTER_AREA)
-    shrunk: ByteImage = cv2.resize(image, size, interpolation=cv2.INTER_LINEAR)
-    return shrunk
-
-
-def _resized(image: ByteImage, size: tuple[int, int]) -> ByteImage:
-    """Return an image at a size (width, height)."""
-    if (image.shape[1], image.shape[0]) == size:
-        return image
-    shrinks = size[0] < image.shape[1]
-    interpolation = cv2.INTER_AREA if shrinks else cv2.INTER_CUBIC
-    resized: ByteImage = cv2.resize(image, size, interpolation=interpolation)
-    return resized

@@ -15,10 +15,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import PchipInterpolator
 
+from turbseg_ros.arrays import Matrix
+
 Colour = tuple[float, float, float]
 """Blue, green, red, 0 to 1."""
 Points = tuple[tuple[float, float], ...]
-Matrix = npt.NDArray[np.float64]
 
 _DRAWING_SIZE = 600
 """Fine pixels along an object, within the limits of supersampling: OpenCV's polygons come out

@@ -12,6 +12,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from turbseg_ros.arrays import Labels
+
 from .landscape import DAYLIGHT, THERMAL, Backdrop, Extent
 from .objects import KINDS, PlacedSprite, Pose, SceneObject, Sprite
 from .painters import PAINTERS
@@ -28,8 +30,6 @@ turbulence, so that a seed's landscape is too."""
 
 _MAX_PITCH = 0.3
 """Radians by which a flying object's nose follows its path at most."""
-
-Labels = npt.NDArray[np.uint16]
 
 
 class _Purpose(IntEnum):

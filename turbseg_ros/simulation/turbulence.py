@@ -27,7 +27,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy import fft, integrate, special
 
-Image = npt.NDArray[Any]
+from turbseg_ros.arrays import Image
+
 Field = npt.NDArray[np.float32]
 
 _GRID_POINTS_PER_APERTURE = 6.0

@@ -5,15 +5,12 @@ This is how the paper made its turbulent DAVIS clips (Qin et al., ECCV 2024).
 
 from __future__ import annotations
 
-from typing import Any
-
 import cv2
 import numpy as np
-import numpy.typing as npt
+
+from turbseg_ros.arrays import Image
 
 from .turbulence import BlurField, Field, TiltField, Turbulence, blur, warp
-
-Image = npt.NDArray[Any]
 
 
 class ClipWarper:

@@ -1,0 +1,112 @@
+"""When motion is measured, and what moves in the frames between."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from turbseg_ros.arrays import Mask
+from turbseg_ros.parameters import FlowParameters
+from turbseg_ros.segmentation.motion import MotionMeasure, next_interval
+from turbseg_ros.segmentation.motion_worker import MotionJob, MotionWorker
+from turbseg_ros.segmentation.moving import Moving, propagated
+from turbseg_ros.segmentation.observer import StageObserver
+from turbseg_ros.segmentation.resolution import Resolution
+from turbseg_ros.segmentation.window import FrameWindow
+
+SPARSE = 2
+"""Periods of measuring motion from one time to the next while very many frames wait."""
+
+
+class MotionSchedule:
+    """Has motion measured in every n-th frame, ahead of its use, and propagates it in between.
+
+    :param causal: whether nothing may be waited for: a measurement is then asked for half a
+        period late, and brought up to date by propagation.
+    """
+
+    def __init__(
+        self,
+        window: FrameWindow,
+        resolution: Resolution,
+        measure: MotionMeasure,
+        worker: MotionWorker,
+        flow: FlowParameters,
+        causal: bool,
+        observer: StageObserver,
+    ) -> None:
+        self._window = window
+        self._resolution = resolution
+        self._measure = measure
+        self._worker = worker
+        self._observer = observer
+        self._every = flow.every
+        self._widest = flow.interval
+        self._interval = flow.interval
+        # Frames after which a measurement is asked for, if none are waited for anyway.
+        self._lag = (flow.every + 1) // 2 if causal else 0
+        self._due = 0
+        self._last: Moving | None = None
+
+    def what_moves(self, index: int, sparse: bool) -> Moving | None:
+        """Return what moves in the next frame, and have the next measurement begun.
+
+        None where there is nothing to compare the frame with.
+
+        :param sparse: whether motion is to be measured more seldom from here on.
+        """
+        moving = self._what_moves(index)
+        if moving is not None and moving.measured:
+            self._interval = next_interval(self._interval, self._widest, moving.motion.tilt)
+        self._last = moving
+        self._measure_ahead(index, sparse)
+        return moving
+
+    def keep_where(self, objects: Mask) -> None:
+        """Propagate only what holds one of the objects, HxW at detail resolution.
+
+        Where nothing is cut out now, nothing will be until motion is measured again.
+        """
+        if self._last is not None:
+            self._last = self._last.where(objects)
+
+    def _what_moves(self, index: int) -> Moving | None:
+        measured = index - self._lag
+        if not self._window.shows_scene(index):
+            self._worker.drop(measured)
+            return None
+        if self._is_due(index) and index not in self._worker:
+            self._submit(index)
+        if measured in self._worker:
+            found = self._propagated(self._worker.take(measured), measured, index)
+            return None if found is None else replace(found, measured=True)
+        return self._propagated(self._last, index - 1, index)
+
+    def _is_due(self, index: int) -> bool:
+        """Whether motion is to be measured in a frame: in turn, or as none can be propagated."""
+        if index == self._due:
+            return True
+        can_be_propagated = self._last is not None and self._window[index].continues
+        return not can_be_propagated and not (self._lag and len(self._worker))
+
+    def _propagated(self, moving: Moving | None, source: int, target: int) -> Moving | None:
+        """Return what moves in one frame as it moves in a later one; None across a cut."""
+        if moving is None or not self._window.goes_on(source, target):
+            return None
+        if source == target:
+            return moving
+        ego_motion = self._window.transform(source, target)
+        with self._observer.stage("propagation"):
+            return propagated(moving, ego_motion, self._resolution, target - source)
+
+    def _measure_ahead(self, index: int, sparse: bool) -> None:
+        """Have motion measured in the next frame that is due, while outlines are drawn."""
+        if index >= self._due:
+            self._due = (index // self._every + (SPARSE if sparse else 1)) * self._every
+        is_at_hand = self._due < self._window.count and self._due <= index + self._every
+        if is_at_hand and self._due not in self._worker:
+            self._submit(self._due)
+
+    def _submit(self, index: int) -> None:
+        wanted = self._measure.intervals(self._interval)
+        neighbourhood = self._window.neighbourhood(index, wanted)
+        self._worker.submit(MotionJob(index, neighbourhood, self._interval))

@@ -1,0 +1,237 @@
+"""Frames in, one result for each out, in order: streams, cuts, and what waits for its result."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from types import TracebackType
+
+from turbseg_ros.parameters import Parameters
+from turbseg_ros.segmentation.frame import Frame, SegmentationResult
+from turbseg_ros.segmentation.load import Load
+from turbseg_ros.segmentation.observer import StageObserver
+from turbseg_ros.segmentation.pending_result import PendingResult
+from turbseg_ros.segmentation.pipeline import Pipeline
+from turbseg_ros.segmentation.preparation import FramePreparer
+from turbseg_ros.segmentation.resolution import Resolution
+from turbseg_ros.segmentation.strategies import Strategies
+
+
+class MotionSegmenter:
+    """Segments what really moves, frame by frame.
+
+    `push` takes frames in the order of time and returns the results that are ready; `flush`
+    returns those of all frames that are left. Every frame gets exactly one result, in order. A
+    frame of another size, kind or scene than those before starts a new window; ids go on. `close`
+    ends its threads; used in a `with`, it closes itself.
+    """
+
+    def __init__(
+        self,
+        parameters: Parameters,
+        strategies_for: Callable[[Parameters], Strategies],
+        observer: StageObserver | None = None,
+    ) -> None:
+        """Set up without frames; see `turbseg_ros.factory`, which chooses the strategies.
+
+        :param strategies_for: makes the strategies, and makes them anew with other parameters.
+        :param observer: looks at what the stages make.
+        """
+        self._parameters = parameters
+        self._strategies_for = strategies_for
+        self._strategies = strategies_for(parameters)
+        self._observer = observer or StageObserver()
+        self._preparation = ThreadPoolExecutor(1, thread_name_prefix="preparation")
+        self._motion = ThreadPoolExecutor(1, thread_name_prefix="motion")
+        # None before a stream's first frame.
+        self._stream: _Stream | None = None
+
+    def __enter__(self) -> MotionSegmenter:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End its threads; frames not yet answered are forgotten."""
+        self.reset()
+        self._preparation.shutdown()
+        self._motion.shutdown()
+        self._strategies.flow.close()
+
+    def reconfigure(self, parameters: Parameters) -> None:
+        """Go on with other parameters and a new window; frames not yet answered are forgotten."""
+        self.reset()
+        before, self._strategies = self._strategies, self._strategies_for(parameters)
+        self._parameters = parameters
+        self._strategies.tracker.continue_ids(before.tracker)
+        if before.flow is not self._strategies.flow:
+            before.flow.close()
+
+    def reset(self) -> None:
+        """Forget all frames and end all objects; ids go on."""
+        self._strategies.tracker.reset()
+        if self._stream is not None:
+            self._stream.cancel()
+            self._stream = None
+
+    @property
+    def device(self) -> str:
+        """Where optical flow is computed: cpu or cuda."""
+        return self._strategies.flow.device
+
+    @property
+    def look_ahead(self) -> int:
+        """Frames that must follow a frame before its result is given."""
+        if self._parameters.is_causal:
+            return 0
+        # One more while a frame is prepared beside all else.
+        return self._parameters.segmentation_look_ahead + self._strategies.tracker.delay + 1
+
+    def empty_result(self, frame: Frame) -> SegmentationResult:
+        """Return the result of a frame in which nothing was found, as this segmenter gives it."""
+        return PendingResult(frame, self._resolution_of(frame)).result()
+
+    def push(self, frame: Frame, waiting: int = 0) -> list[SegmentationResult]:
+        """Take the next frame; return the results that are ready, of earlier frames mostly.
+
+        Its image is still read until the next call.
+
+        :param waiting: frames that wait to be pushed after it. Where there are as many as the
+            parameters say, it is done sooner and less exactly; see `Load`.
+        """
+        load = Load.of(waiting, self._parameters.latency)
+        results = []
+        if self._stream is not None and not self._stream.takes(frame):
+            results = self.flush(waiting)
+            self.reset()
+        results += self._take_in(load)
+        stream = self._stream = self._stream or self._begin(frame)
+        stream.prepare(frame)
+        if self._parameters.is_causal:
+            results += self._take_in(load)
+        return results + (self._stream or stream).advance(load)
+
+    def flush(self, waiting: int = 0) -> list[SegmentationResult]:
+        """Return the results of all frames that have none yet; `reset` begins another stream.
+
+        :param waiting: frames of another stream that wait meanwhile; see `push`.
+        """
+        load = Load.of(waiting, self._parameters.latency)
+        results = self._take_in(load)
+        return results if self._stream is None else results + self._stream.finish(load)
+
+    def _take_in(self, load: Load) -> list[SegmentationResult]:
+        """Let the frame that was prepared join the others; after a cut, give what was before."""
+        if self._stream is None:
+            return []
+        after_cut = self._stream.take_in()
+        if after_cut is None:
+            return []
+        results = self._stream.finish(load)
+        self.reset()
+        self._stream = self._begin(after_cut)
+        self._stream.prepare(after_cut)
+        return results + self._take_in(load)
+
+    def _resolution_of(self, frame: Frame) -> Resolution:
+        sizes = self._parameters.resolution
+        return Resolution.of(frame.image.shape, sizes.processing, sizes.detail)
+
+    def _begin(self, frame: Frame) -> _Stream:
+        resolution = self._resolution_of(frame)
+        return _Stream(
+            kind=_kind_of(frame),
+            preparer=FramePreparer(resolution, self._preparation, self._observer),
+            pipeline=Pipeline(
+                resolution, self._parameters, self._strategies, self._motion, self._observer
+            ),
+            strategies=self._strategies,
+            causal=self._parameters.is_causal,
+            observer=self._observer,
+        )
+
+
+class _Stream:
+    """Frames of one kind and one scene, from the first on, until all have their results."""
+
+    def __init__(
+        self,
+        kind: tuple[object, ...],
+        preparer: FramePreparer,
+        pipeline: Pipeline,
+        strategies: Strategies,
+        causal: bool,
+        observer: StageObserver,
+    ) -> None:
+        self._kind = kind
+        self._observer = observer
+        self._preparer = preparer
+        self._pipeline = pipeline
+        self._tracker = strategies.tracker
+        self._delay = 0 if causal else strategies.tracker.delay
+        self._frames: dict[int, Frame] = {}
+        self._pending: deque[PendingResult] = deque()
+
+    def takes(self, frame: Frame) -> bool:
+        """Whether a frame has the size and type of those before."""
+        return _kind_of(frame) == self._kind
+
+    def prepare(self, frame: Frame) -> None:
+        """Have the next frame prepared in the background."""
+        window = self._pipeline.window
+        self._preparer.start(frame, window.count, window.newest)
+
+    def take_in(self) -> Frame | None:
+        """Let the prepared frame join the window; return it instead if it follows a cut."""
+        finished = self._preparer.finish()
+        if finished is None:
+            return None
+        frame, prepared = finished
+        if self._pipeline.window.follows_cut(prepared):
+            return frame
+        self._pipeline.window.append(prepared)
+        self._frames[prepared.index] = frame.kept()
+        return None
+
+    def advance(self, load: Load) -> list[SegmentationResult]:
+        """Segment what can be, as the load permits; return the results that are settled."""
+        for _ in range(load.frames_at_once):
+            index = self._pipeline.window.pop_ready()
+            if index is None:
+                break
+            self._segment(index, load)
+        return self._results(self._delay)
+
+    def finish(self, load: Load) -> list[SegmentationResult]:
+        """Segment all that is left, as the load permits; return all results that are due."""
+        while (index := self._pipeline.window.pop_ready(ended=True)) is not None:
+            self._segment(index, load)
+        self._tracker.settle()
+        return self._results(0)
+
+    def cancel(self) -> None:
+        """Give up what is done in the background."""
+        self._pipeline.cancel()
+
+    def _segment(self, index: int, load: Load) -> None:
+        frame = self._frames.pop(index)
+        self._pending.append(self._pipeline.segment_frame(index, frame, load))
+
+    def _results(self, kept: int) -> list[SegmentationResult]:
+        """Return the results of all pending frames but the newest so many."""
+        results = []
+        while len(self._pending) > kept:
+            with self._observer.stage("labels"):
+                results.append(self._pending.popleft().result())
+        return results
+
+
+def _kind_of(frame: Frame) -> tuple[object, ...]:
+    return frame.image.shape, frame.image.dtype

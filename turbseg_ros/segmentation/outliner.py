@@ -1,0 +1,217 @@
+"""From what moves to detections: the scene at other times, crops, outlines, their velocities."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import cv2
+import numpy as np
+
+from turbseg_ros.arrays import Mask, Matrix
+from turbseg_ros.segmentation.areas import MovingArea
+from turbseg_ros.segmentation.background import AlignedFrame, MaskedImage, with_objects_masked
+from turbseg_ros.segmentation.cropped_mask import EMPTY_MASK, CroppedMask, union_mask
+from turbseg_ros.segmentation.exposure import AS_IT_IS, Exposure, exposure_between
+from turbseg_ros.segmentation.foreground import ObjectCrop, foreground_masks, object_crops
+from turbseg_ros.segmentation.geometry import translation
+from turbseg_ros.segmentation.motion import MotionEstimate
+from turbseg_ros.segmentation.moving import Moving
+from turbseg_ros.segmentation.observer import StageObserver
+from turbseg_ros.segmentation.refinement import Refiner, refined_masks
+from turbseg_ros.segmentation.resolution import Resolution
+from turbseg_ros.segmentation.track import Detection
+from turbseg_ros.segmentation.window import FrameWindow
+
+GUARD = 2
+"""Detail pixels by which objects are dilated before what is left counts as background."""
+# Smallest outline, in detail pixels.
+_MIN_OUTLINE = 12
+# A known object counts as resting when motion was found on less than this share of it.
+_RESTING = 0.6
+
+Crops = Callable[[], Sequence[ObjectCrop]]
+"""Gathers the crops in which objects are to be looked for; that costs some time."""
+
+
+class OutlineMethod(Protocol):
+    """Cuts objects out of a frame where something moves."""
+
+    def outlines(self, moving: Moving, crops: Crops, resolution: Resolution) -> list[CroppedMask]:
+        """Return the outlines of what may be objects, at detail resolution."""
+
+
+class GrownRegions:
+    """The paper's masks before they are refined: the regions of eq. 3 themselves."""
+
+    def outlines(self, moving: Moving, crops: Crops, resolution: Resolution) -> list[CroppedMask]:
+        """Return the regions at detail resolution; see `OutlineMethod`."""
+        sizes = resolution.detail, resolution.processing
+        return [region.outline.resized(*sizes) for region in moving.regions]
+
+
+@dataclass(frozen=True)
+class BackgroundDifference:
+    """What stands out from the scene's background by rules, shadows taken off.
+
+    :param threshold: standard deviations by which an object differs from the background.
+    """
+
+    threshold: float
+
+    def outlines(self, moving: Moving, crops: Crops, resolution: Resolution) -> list[CroppedMask]:
+        """Return what stands out; see `OutlineMethod`."""
+        return foreground_masks(crops(), self.threshold)
+
+
+@dataclass(frozen=True)
+class RefinedDifference:
+    """What a network takes for an object, in place of the paper's eq. 5 to 9."""
+
+    refiner: Refiner
+
+    def outlines(self, moving: Moving, crops: Crops, resolution: Resolution) -> list[CroppedMask]:
+        """Return what is rather object than background; see `OutlineMethod`."""
+        gathered = crops()
+        return refined_masks(gathered, self.refiner.refine(gathered))
+
+
+@dataclass(frozen=True)
+class _Outlook:
+    """Cache, valid until motion is measured again.
+
+    By index: other frames with what was predicted of the objects masked out, and their exposure
+    relative to frame `index`, in which motion was measured.
+    """
+
+    index: int = 0
+    images: dict[int, MaskedImage] = field(default_factory=dict)
+    exposures: dict[int, Exposure] = field(default_factory=dict)
+
+
+class Outliner:
+    """Draws the outlines of one stream's objects against what the scene looked like before.
+
+    The background is taken from the other frames of the window, aligned to this one, without
+    their objects; in frames to come, objects are where they are predicted to be.
+    """
+
+    def __init__(
+        self,
+        window: FrameWindow,
+        resolution: Resolution,
+        method: OutlineMethod,
+        observer: StageObserver,
+    ) -> None:
+        self._window = window
+        self._resolution = resolution
+        self._method = method
+        self._observer = observer
+        self._outlook = _Outlook()
+
+    def detections(
+        self,
+        index: int,
+        moving: Moving,
+        expected: Sequence[CroppedMask],
+        tilt: float,
+        stamp: int,
+    ) -> list[Detection]:
+        """Return what may be an object in a frame, at detail resolution.
+
+        :param expected: where known objects should be, whether they move or rest.
+        :param tilt: rms turbulent motion an axis in detail pixels.
+        :param stamp: the frame's, for those who observe.
+        """
+        if moving.measured:
+            self._outlook = _Outlook(index)
+        shape = self._resolution.detail_shape
+        moving_mask = union_mask([area.search_mask for area in moving.areas], shape)
+
+        def crops() -> Sequence[ObjectCrop]:
+            with self._observer.stage("crops"):
+                areas = [*moving.areas, *_resting_areas(expected, moving_mask)]
+                aligned = self._aligned_frames(index, moving)
+                image = self._window[index].detail
+                gathered = object_crops(image, areas, aligned, moving.motion, tilt)
+            self._observer.crops(stamp, gathered)
+            return gathered
+
+        with self._observer.stage("outlines"):
+            outlines = self._method.outlines(moving, crops, self._resolution)
+        seen_to_move = moving_mask if moving.measured else np.zeros_like(moving_mask)
+        return [
+            _detection(outline, seen_to_move, moving.motion, self._resolution)
+            for outline in outlines
+            if outline.area >= _MIN_OUTLINE
+        ]
+
+    def _aligned_frames(self, index: int, moving: Moving) -> list[AlignedFrame]:
+        """Return the frames that show the scene at other times, as seen from this one.
+
+        Exposures, and what is predicted, are as when motion was measured last.
+        """
+        window, outlook = self._window, self._outlook
+        transforms = window.transforms_from(index)
+        since = self._exposure(outlook.index, index, transforms[outlook.index])
+        frames = []
+        for other in window.key_frames(index):
+            to_image = self._resolution.to_detail(transforms[other])
+            if other not in outlook.exposures:
+                to_other = transforms[other] @ np.linalg.inv(transforms[outlook.index])
+                outlook.exposures[other] = self._exposure(other, outlook.index, to_other)
+            image = window[other].scene
+            if not window[other].objects_known:
+                if other not in outlook.images:
+                    predicted = self._predicted(moving.areas, other - index, to_image)
+                    outlook.images[other] = with_objects_masked(image, predicted)
+                image = outlook.images[other]
+            frames.append(AlignedFrame(image, to_image, outlook.exposures[other].then(since)))
+        return frames
+
+    def _exposure(self, source: int, target: int, to_source: Matrix) -> Exposure:
+        """Return what takes the grey values of one frame to those of another."""
+        if source == target:
+            return AS_IT_IS
+        return exposure_between(self._window[source].grey, self._window[target].grey, to_source)
+
+    def _predicted(
+        self, areas: Sequence[MovingArea], frames: int, to_image: Matrix
+    ) -> list[CroppedMask]:
+        """Return the probable parts of moving areas so many frames on, in that frame's pixels."""
+        return [
+            area.probable.resampled(
+                to_image @ translation(area.velocity[0] * frames, area.velocity[1] * frames),
+                self._resolution.detail_shape,
+                cv2.INTER_NEAREST,
+            )
+            for area in areas
+        ]
+
+
+def _resting_areas(expected: Sequence[CroppedMask], moving: Mask) -> list[MovingArea]:
+    """Return where known objects should be that no motion was found for."""
+    return [
+        MovingArea(mask.dilated(GUARD + 1, moving.shape), EMPTY_MASK, EMPTY_MASK, (0.0, 0.0))
+        for mask in expected
+        if mask.intersection_area(moving) < _RESTING * mask.area
+    ]
+
+
+def _detection(
+    outline: CroppedMask, moving: Mask, motion: MotionEstimate, resolution: Resolution
+) -> Detection:
+    """Describe an outline: its velocity is the median over its pixels."""
+    y, x = np.nonzero(outline.mask)
+    scale_x, scale_y = resolution.detail_from_processing
+    height, width = motion.motion_map.shape
+    column = np.minimum(((x + outline.box.x0) / scale_x).astype(int), width - 1)
+    row = np.minimum(((y + outline.box.y0) / scale_y).astype(int), height - 1)
+    vx, vy = np.median(motion.velocity[row, column], axis=0)
+    return Detection(
+        box=outline.box,
+        mask=outline.mask,
+        velocity=(float(vx) * scale_x, float(vy) * scale_y),
+        moving=bool((outline.mask & moving[outline.box.slices]).any()),
+    )

@@ -1,0 +1,84 @@
+"""What is known of a segmented frame, and the result made of it at the input's resolution."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from turbseg_ros.arrays import Labels
+from turbseg_ros.segmentation.cropped_mask import CroppedMask
+from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResult, label_of
+from turbseg_ros.segmentation.geometry import scaling
+from turbseg_ros.segmentation.motion import MotionEstimate
+from turbseg_ros.segmentation.resolution import Resolution
+from turbseg_ros.segmentation.track import Detection, Observation
+
+
+@dataclass(frozen=True)
+class PendingResult:
+    """A segmented frame that waits until it is known which of its tracks are objects.
+
+    `motion` is None where there was nothing to compare the frame with.
+    """
+
+    frame: Frame
+    resolution: Resolution
+    motion: MotionEstimate | None = None
+    observations: Sequence[Observation] = ()
+    coasted: bool = False
+
+    def result(self) -> SegmentationResult:
+        """Return the result: objects are the tracks that are confirmed by now."""
+        width, height = self.resolution.input
+        labels = np.zeros((height, width), np.uint16)
+        objects = self._draw_objects(labels)
+        if self.motion is None:
+            empty = SegmentationResult.empty(self.frame, self.resolution.processing_shape)
+            return replace(empty, labels=labels, objects=objects, coasted=self.coasted)
+        scale = width / self.resolution.processing[0]
+        return SegmentationResult(
+            frame=self.frame,
+            labels=labels,
+            objects=objects,
+            motion_map=self.motion.motion_map * np.float32(scale),
+            tilt=self.motion.tilt * scale,
+            ego_motion_model=self.motion.ego_motion_model,
+            coasted=self.coasted,
+        )
+
+    def _draw_objects(self, labels: Labels) -> tuple[MovingObject, ...]:
+        """Draw the objects into labels, HxW; return them in the order of their ids."""
+        objects = []
+        for observation in self.observations:
+            if not observation.track.confirmed:
+                continue
+            found = _at_input_resolution(observation.detection, self.resolution)
+            there = labels[found.box.slices]
+            mask = found.mask & (there == 0)
+            if mask.any():
+                there[mask] = label_of(observation.track.id)
+                objects.append(self._moving_object(observation, CroppedMask(found.box, mask)))
+        return tuple(sorted(objects, key=lambda found: found.id))
+
+    def _moving_object(self, observation: Observation, found: CroppedMask) -> MovingObject:
+        scale = self.resolution.input[0] / self.resolution.detail[0]
+        vx, vy = observation.velocity
+        return MovingObject.from_mask(
+            found.mask,
+            id=observation.track.id,
+            slot=observation.track.slot,
+            velocity=(vx * scale, vy * scale),
+            trail=tuple((x * scale, y * scale) for x, y in observation.trail),
+            origin=(found.box.x0, found.box.y0),
+        )
+
+
+def _at_input_resolution(detection: Detection, resolution: Resolution) -> CroppedMask:
+    outline = detection.outline
+    if resolution.detail == resolution.input:
+        return outline
+    x, y = (there / here for there, here in zip(resolution.input, resolution.detail, strict=True))
+    return outline.resampled(scaling(x, y), resolution.input[::-1], cv2.INTER_LINEAR)

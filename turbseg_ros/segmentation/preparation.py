@@ -1,0 +1,134 @@
+"""Frames made ready: an 8-bit picture at two sizes, registered to the frame before."""
+
+from __future__ import annotations
+
+import functools
+from concurrent.futures import Executor, Future
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from turbseg_ros.arrays import ByteImage, Matrix
+from turbseg_ros.segmentation.background import MaskedImage, unmasked
+from turbseg_ros.segmentation.frame import Frame
+from turbseg_ros.segmentation.observer import StageObserver
+from turbseg_ros.segmentation.registration import register_affine
+from turbseg_ros.segmentation.resolution import Resolution
+from turbseg_ros.segmentation.tone import ToneMap
+
+
+@dataclass(frozen=True)
+class PreparedFrame:
+    """A frame as the stages need it.
+
+    `grey` is at processing resolution, uint8, `scene` is the picture at detail resolution, its
+    objects hidden once `objects_known`;
+    `from_previous` takes the pixels (of `grey`) of the frame before in the window to this one's;
+    `continues` tells whether the two have anything in common.
+    """
+
+    index: int
+    grey: ByteImage
+    scene: MaskedImage
+    from_previous: Matrix
+    continues: bool = True
+    objects_known: bool = False
+
+    @functools.cached_property
+    def to_previous(self) -> Matrix:
+        """What takes this frame's pixels to those of the frame before."""
+        return np.asarray(np.linalg.inv(self.from_previous))
+
+    @property
+    def detail(self) -> ByteImage:
+        """The picture at detail resolution, HxWxC, uint8."""
+        return self.scene.image[..., :-1]
+
+
+def prepare(
+    picture: ByteImage,
+    resolution: Resolution,
+    index: int,
+    previous: PreparedFrame | None,
+    observer: StageObserver,
+) -> PreparedFrame:
+    """Scale an 8-bit picture, HxW or HxWx3, and register it to the frame before."""
+    with observer.stage("scaling"):
+        detail = _shrunk(picture, resolution.detail)
+        grey = cv2.cvtColor(detail, cv2.COLOR_BGR2GRAY) if detail.ndim == 3 else detail
+        grey = _resized(grey, resolution.processing)
+        scene = unmasked(detail)
+    with observer.stage("registration"):
+        motion = None if previous is None else register_affine(previous.grey, grey)
+    from_previous = np.eye(3) if motion is None else motion
+    return PreparedFrame(
+        index=index,
+        grey=grey,
+        scene=scene,
+        from_previous=from_previous,
+        continues=motion is not None,
+    )
+
+
+class FramePreparer:
+    """Prepares one frame at a time in a background thread, while earlier ones are segmented."""
+
+    def __init__(
+        self, resolution: Resolution, executor: Executor, observer: StageObserver
+    ) -> None:
+        self._resolution = resolution
+        self._executor = executor
+        self._observer = observer
+        self._tone = ToneMap()
+        self._under_way: tuple[Frame, Future[PreparedFrame]] | None = None
+
+    def start(self, frame: Frame, index: int, previous: PreparedFrame | None) -> None:
+        """Begin with a frame, whose image is read until `finish`.
+
+        :param index: its number in the stream.
+        :param previous: the frame that it is registered to.
+        """
+        picture = self._tone(frame.image)
+        preparation = self._executor.submit(
+            prepare, picture, self._resolution, index, previous, self._observer
+        )
+        self._under_way = (frame, preparation)
+
+    def finish(self) -> tuple[Frame, PreparedFrame] | None:
+        """Return the frame under way once it is ready; None where there is none.
+
+        :raises RuntimeError: when it can't be prepared.
+        """
+        if self._under_way is None:
+            return None
+        (frame, preparation), self._under_way = self._under_way, None
+        try:
+            return frame, preparation.result()
+        except Exception as error:
+            raise RuntimeError(f"the frame of {frame.stamp} ns can't be prepared") from error
+
+
+def _shrunk(image: ByteImage, size: tuple[int, int]) -> ByteImage:
+    """Return an image at a size (width, height) that is not larger; never the caller's own buffer.
+
+    OpenCV averages over whole pixels many times as fast as over fractions of them.
+    """
+    if (image.shape[1], image.shape[0]) == size:
+        return image.copy()
+    factor = min(image.shape[1] // size[0], image.shape[0] // size[1])
+    if factor > 1:
+        whole = (image.shape[1] // factor, image.shape[0] // factor)
+        image = cv2.resize(image, whole, interpolation=cv2.INTER_AREA)
+    shrunk: ByteImage = cv2.resize(image, size, interpolation=cv2.INTER_LINEAR)
+    return shrunk
+
+
+def _resized(image: ByteImage, size: tuple[int, int]) -> ByteImage:
+    """Return an image at a size (width, height)."""
+    if (image.shape[1], image.shape[0]) == size:
+        return image
+    shrinks = size[0] < image.shape[1]
+    interpolation = cv2.INTER_AREA if shrinks else cv2.INTER_CUBIC
+    resized: ByteImage = cv2.resize(image, size, interpolation=interpolation)
+    return resized
