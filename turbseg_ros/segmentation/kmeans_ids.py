@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from turbseg_ros.segmentation.cropped_mask import CroppedMask
+from turbseg_ros.segmentation.occlusion import Image
 from turbseg_ros.segmentation.track import (
     Detection,
     Observation,
@@ -58,10 +59,12 @@ class KMeansIds:
         return []
 
     def update(
-        self, detections: Sequence[Detection], ego_motion: Matrix, tilt: float
+        self, detections: Sequence[Detection], ego_motion: Matrix, tilt: float, image: Image
     ) -> list[Observation]:
         """Take every detection for an object whose id is still open."""
-        tracks = [Track.started(detection, tilt) for detection in detections]
+        return self._take([Track.started(detection, tilt) for detection in detections])
+
+    def _take(self, tracks: list[Track]) -> list[Observation]:
         self._clip.append(tracks)
         return [track.observed(track.detection) for track in tracks]
 
@@ -69,7 +72,7 @@ class KMeansIds:
         """Take the masks of the frame before, carried along, for those of this one."""
         before = self._clip[-1] if self._clip else []
         carried = [track.expected(ego_motion, shape) for track in before]
-        return self.update([each for each in carried if each.area], ego_motion, 0.0)
+        return self._take([Track.started(each, 0.0) for each in carried if each.area])
 
     def settle(self) -> None:
         """Return the clip's masks their ids."""

@@ -240,7 +240,7 @@ class MotionSegmenter:
         self._moving = moving
         self._measure_ahead(centre)
         if moving is None:
-            self._tracker.update([], ego_motion, 0.0)
+            self._tracker.update([], ego_motion, 0.0, self._window[centre].detail)
             return _Pending(frame, self._resolution, None, [])
         coasted = self._in_haste and not moving.measured
         observations = (
@@ -263,7 +263,8 @@ class MotionSegmenter:
         scale = self._resolution.detail_from_processing[0]
         tilt = 0.0 if np.isnan(moving.motion.tilt) else moving.motion.tilt * scale
         detections = self._outlines(centre, moving, ego_motion, tilt, stamp)
-        return self._tracker.update(detections, ego_motion, tilt)
+        image = self._window[centre].detail
+        return self._tracker.update(detections, ego_motion, tilt, image)
 
     @property
     def _detail_shape(self) -> tuple[int, int]:
