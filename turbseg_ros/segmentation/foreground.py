@@ -53,7 +53,7 @@ _DEBRIS = 0.1
 class AreaMasks:
     """Where objects are to be looked for in a part of a frame, hxw masks; see `MovingArea`.
 
-    `nearest` marks the pixels that no other area is nearer to.
+    `nearest` marks the pixels that lie nearer to it than to any other area.
     """
 
     search_mask: Mask
