@@ -12,9 +12,16 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+from turbseg_ros.bag.frames import BagFrames
+from turbseg_ros.bag.reader import BagReader
 from turbseg_ros.cli.evaluate import main
+from turbseg_ros.evaluation.labels import LabelsByStamp, read_labels
+from turbseg_ros.factory import motion_segmenter
+from turbseg_ros.parameters import Parameters
+from turbseg_ros.segmentation.frame import segment
 
 BAGS = Path(__file__).parents[1] / "bags"
 FLOORS = {
@@ -52,3 +59,18 @@ def test_nothing_is_found_where_nothing_moves(scores: Mapping[str, dict[str, Any
     assert scores["empty"]["j"] is None
     assert scores["empty"]["scored_frames"] > 0
     assert scores["empty"]["false_alarm_frames"] == 0
+
+
+def test_vehicles_that_meet_take_no_pixels_of_each_other() -> None:
+    reader = BagReader(BAGS / "normal")
+    truth = LabelsByStamp(read_labels(reader, "/ground_truth/labels"))
+    frames = BagFrames(reader, reader.find_image_topic(None))
+    shared = np.zeros((3, 3), int)
+    for result in segment(frames, motion_segmenter(Parameters())):
+        true = truth.at(result.frame.stamp)
+        assert true is not None
+        np.add.at(shared, (true, result.labels), 1)
+    own = shared[1:, 1:].max(axis=1)
+    stolen = shared[1:, 1:].sum(axis=1) - own
+    assert (own > 10_000).all()
+    assert (stolen < 50).all()

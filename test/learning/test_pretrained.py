@@ -40,7 +40,7 @@ def window(shape: tuple[int, int], channels: int = 1, seed: int = 0) -> ObjectCr
     image[block] = 20
     views = [view_of((ground.astype(int) + offset).astype(np.uint8)) for offset in GRAIN]
     motion = cv2.GaussianBlur(block.astype(np.float32), (0, 0), 4.0) * 20.0
-    area = AreaMasks(motion > 2.0, motion > 12.0, motion > 18.0)
+    area = AreaMasks(motion > 2.0, motion > 12.0, motion > 18.0, np.ones_like(motion, bool))
     return ObjectCrop(Box(0, 0, width, height), image, views, area, motion, 0.1)
 
 

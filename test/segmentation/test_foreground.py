@@ -23,6 +23,7 @@ from turbseg_ros.segmentation.foreground import (
     without_shadow,
 )
 from turbseg_ros.segmentation.motion import MotionEstimate
+from turbseg_ros.segmentation.refinement import refined_masks
 
 SHAPE = (96, 160)
 EMPTY_MASK = np.zeros(SHAPE, bool)
@@ -156,6 +157,16 @@ def test_areas_that_touch_are_one_object() -> None:
     areas = [area_around(front), area_around(rear)]
     (found,) = cut_out(noisy(image, 99), areas, still_views(ground))
     assert jaccard(found, CAR) > 0.9
+
+
+def test_a_crop_leaves_what_is_nearer_to_another_area_to_that_ones_crop() -> None:
+    upper, lower = rectangle(40, 20, 80, 40), rectangle(60, 46, 100, 66)
+    areas = [area_around(each, margin=2) for each in (upper, lower)]
+    crops = object_crops(ground_of(1), areas, [], STILL, TILT)
+    assert crops[0].box.intersection(crops[1].box) is not None
+    judged = [(upper | lower)[crop.box.slices].astype(np.float32) for crop in crops]
+    found = refined_masks(crops, judged)
+    assert sorted(outline.area for outline in found) == [800, 800]
 
 
 def test_while_its_background_is_hidden_an_object_is_told_by_its_colour() -> None:

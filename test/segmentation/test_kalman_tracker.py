@@ -13,10 +13,12 @@ from support.drawn_scene import jaccard
 from turbseg_ros.segmentation.cropped_mask import Box
 from turbseg_ros.segmentation.kalman_tracker import KalmanTracker
 from turbseg_ros.segmentation.kmeans_ids import KMeansIds, kmeans_ids
-from turbseg_ros.segmentation.track import Detection, Observation
+from turbseg_ros.segmentation.track import Detection, Observation, joined
 
 STILL_CAMERA = np.eye(3)
 CONFIRMATION, PATIENCE, SLOTS = 4, 10, 3
+# Nothing to tell objects apart by but their place.
+PLAIN = np.full((480, 864, 1), 128, np.uint8)
 
 
 def tracker_of(**changes: float) -> KalmanTracker:
@@ -57,7 +59,7 @@ def update(
     ego_motion: np.ndarray = STILL_CAMERA,
     tilt: float = 0.1,
 ) -> list[Observation]:
-    return tracker.update(detections, ego_motion, tilt)
+    return tracker.update(detections, ego_motion, tilt, PLAIN)
 
 
 def only(observations: Sequence[Observation]) -> Observation:
@@ -140,7 +142,7 @@ def test_an_object_that_hides_for_too_long_ends() -> None:
 
 def test_objects_that_cross_keep_their_ids() -> None:
     tracker = tracker_of()
-    ids: dict[float, set[int]] = {3.0: set(), -3.0: set()}
+    ids: dict[float, set[int]] = {1.0: set(), -1.0: set()}
     for frame in range(40):
         detections = [
             crossing(frame, (10, 30), (3, 0)),
@@ -148,20 +150,20 @@ def test_objects_that_cross_keep_their_ids() -> None:
         ]
         for observation in update(tracker, detections):
             if observation.track.confirmed:
-                ids[observation.detection.velocity[0]].add(observation.track.id)
+                ids[np.sign(observation.velocity[0])].add(observation.track.id)
     assert sorted(ids.values(), key=min) == [{1}, {2}]
 
 
 def test_objects_that_hide_each_other_keep_their_ids() -> None:
     tracker = tracker_of()
-    ids: dict[float, set[int]] = {3.0: set(), -3.0: set()}
+    ids: dict[float, set[int]] = {1.0: set(), -1.0: set()}
     for frame in range(40):
         right = crossing(frame, (10, 30), (3, 0))
         left = crossing(frame, (130, 32), (-3, 0))
         hidden = abs(right.box.x0 - left.box.x0) < 12
         for observation in update(tracker, [right] if hidden else [right, left]):
             if observation.track.confirmed:
-                ids[observation.detection.velocity[0]].add(observation.track.id)
+                ids[np.sign(observation.velocity[0])].add(observation.track.id)
     assert sorted(ids.values(), key=min) == [{1}, {2}]
 
 
@@ -444,6 +446,26 @@ def test_an_object_is_carried_out_of_the_frame_at_its_own_pace() -> None:
     assert widths == pytest.approx([20, 15, 10, 5, 0, 0, 0], abs=1)
 
 
+def test_where_objects_are_carried_along_the_one_in_front_comes_first() -> None:
+    """Of two that hide each other, whoever paints the first one first shows what is to be seen."""
+    tracker = tracker_of()
+    picture = PLAIN.copy()
+    for frame in range(16):
+        behind, front = crossing(frame, (10, 30), (3, 0)), crossing(frame, (90, 34), (-3, 0))
+        picture[:] = 128
+        for detection, grey in ((behind, 220), (front, 20)):
+            picture[detection.box.slices][detection.mask] = grey
+        observations = tracker.update(
+            [joined([behind, front])] if frame > 10 else [behind, front],
+            STILL_CAMERA,
+            0.1,
+            picture,
+        )
+    assert len(observations) == 2
+    coasted = tracker.coast(STILL_CAMERA, (480, 864))
+    assert [np.sign(each.velocity[0]) for each in coasted] == [-1.0, 1.0]
+
+
 def test_what_was_not_found_comes_no_nearer_to_being_an_object_while_it_is_carried() -> None:
     tracker = tracker_of()
     first = only(update(tracker, [crossing(0, (30.0, 40.0), (3.0, 0.0))]))
@@ -536,7 +558,7 @@ def test_kmeans_of_nothing_is_nothing() -> None:
 def kmeans_clip(unifier: KMeansIds, *counts: int) -> list[list[Observation]]:
     """A clip with so many masks in each frame, all in places far apart."""
     clip = [
-        unifier.update([seen(60 * k, 40) for k in range(count)], STILL_CAMERA, 0.1)
+        unifier.update([seen(60 * k, 40) for k in range(count)], STILL_CAMERA, 0.1, PLAIN)
         for count in counts
     ]
     unifier.settle()
@@ -551,7 +573,7 @@ def test_k_is_the_number_of_masks_that_frames_hold_most_often() -> None:
 
 def test_nothing_is_known_before_the_clip_has_ended() -> None:
     unifier = KMeansIds(slots=8)
-    observations = [only(unifier.update([seen(5, 5)], STILL_CAMERA, 0.1)) for _ in range(3)]
+    observations = [only(unifier.update([seen(5, 5)], STILL_CAMERA, 0.1, PLAIN)) for _ in range(3)]
     assert not any(observation.track.confirmed for observation in observations)
     unifier.settle()
     for observation in observations:
@@ -576,7 +598,7 @@ def test_a_clip_without_masks_has_no_ids() -> None:
 
 def test_a_clip_that_is_forgotten_gets_no_ids() -> None:
     unifier = KMeansIds(slots=8)
-    (observation,) = unifier.update([seen(5, 5)], STILL_CAMERA, 0.1)
+    (observation,) = unifier.update([seen(5, 5)], STILL_CAMERA, 0.1, PLAIN)
     unifier.reset()
     unifier.settle()
     assert not observation.track.confirmed

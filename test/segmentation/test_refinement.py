@@ -74,7 +74,7 @@ def test_the_outline_of_what_rests_stays_where_it_is_expected() -> None:
         box=Box(0, 0, 60, 40),
         image=np.zeros((*shape, 1), np.uint8),
         views=[],
-        area=AreaMasks(expected, probable=nothing, certain=nothing),
+        area=AreaMasks(expected, probable=nothing, certain=nothing, nearest=~nothing),
         motion=np.zeros(shape, np.float32),
         tilt=0.5,
     )

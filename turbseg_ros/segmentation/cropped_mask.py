@@ -100,6 +100,15 @@ class CroppedMask:
         """Return the mask in a frame of some shape, HxW."""
         return union_mask([self], shape)
 
+    def within(self, box: Box) -> Mask:
+        """Return what of it lies in a box of the frame, a mask of the box's shape."""
+        mask = np.zeros(box.shape, bool)
+        common = self.box.intersection(box)
+        if common is not None:
+            here = common.moved(-self.box.x0, -self.box.y0).slices
+            mask[common.moved(-box.x0, -box.y0).slices] = self.mask[here]
+        return mask
+
     def intersection_area(self, mask: Mask) -> int:
         """Count its pixels that a mask of the whole frame, HxW, has too."""
         return int(np.count_nonzero(self.mask & mask[self.box.slices]))

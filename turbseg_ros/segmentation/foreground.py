@@ -48,11 +48,15 @@ _DEBRIS = 0.1
 
 @dataclass(frozen=True)
 class AreaMasks:
-    """Where objects are to be looked for in a part of a frame, hxw masks; see `MovingArea`."""
+    """Where objects are to be looked for in a part of a frame, hxw masks; see `MovingArea`.
+
+    `nearest` marks the pixels that lie nearer to it than to any other area.
+    """
 
     search_mask: Mask
     probable: Mask
     certain: Mask
+    nearest: Mask
 
 
 @dataclass(frozen=True)
@@ -100,19 +104,32 @@ def object_crops(
     for piece in reversed(pieces):
         box = Box.of_rectangle(cv2.boundingRect(piece)).padded(_MARGIN, shape)
         cut = box.slices
-        _, labels = cv2.connectedComponents(moving[cut].astype(np.uint8))
+        count, labels = cv2.connectedComponents(moving[cut].astype(np.uint8))
         column, row = piece[0, 0] - (box.x0, box.y0)
+        mask = labels == labels[row, column]
+        # One label is the background's.
+        nearest = _nearer_to(mask, moving[cut]) if count > 2 else np.ones_like(mask)
         crops.append(
             ObjectCrop(
                 box=box,
                 image=np.ascontiguousarray(image[cut]),
                 views=views,
-                area=AreaMasks(labels == labels[row, column], probable[cut], certain[cut]),
+                area=AreaMasks(mask, probable[cut], certain[cut], nearest),
                 motion=_cropped(strength, box, shape),
                 tilt=tilt,
             )
         )
     return crops
+
+
+def _nearer_to(part: Mask, all_parts: Mask) -> Mask:
+    """Return which pixels are nearer to a part than to all others, hxw."""
+    here, there = (
+        cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, 3)
+        for mask in (part, all_parts & ~part)
+    )
+    nearer: Mask = here < there
+    return nearer
 
 
 def foreground_masks(crops: Sequence[ObjectCrop], threshold: float) -> list[CroppedMask]:

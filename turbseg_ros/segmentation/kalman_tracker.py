@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from turbseg_ros.arrays import Matrix, Point
-from turbseg_ros.segmentation.cropped_mask import CroppedMask
+from turbseg_ros.arrays import ByteImage, Matrix, Point
+from turbseg_ros.segmentation.cropped_mask import EMPTY_MASK, CroppedMask
+from turbseg_ros.segmentation.occlusion import DepthOrder, Portrait, divided_among
 from turbseg_ros.segmentation.track import (
     SHAPE_SPAN,
     Detection,
     Observation,
     Track,
     Tracker,
-    divided_among,
     joined,
 )
 
@@ -25,8 +25,9 @@ _UNMATCHABLE = 1e6
 _REACH = 0.6
 # Share of a detection that must lie where an object is expected for it to be a part of it.
 _PART = 0.5
-# Share of an object's expected mask that must lie in a detection for the detection to hold it.
-_HELD = 0.5
+# Share of an object's expected mask, or of the detection if that is smaller, that both must have
+# in common for the object to have a claim to the detection's pixels.
+_CLAIM = 0.1
 # Share of the way its flow claims that a track must really have come to become an object: the
 # middle of what enters the picture comes half of it.
 _HONESTY = 0.35
@@ -79,6 +80,7 @@ class KalmanTracker:
         self._free_slots = list(range(slots))
         self._tracks: list[Track] = []
         self._restless: list[_Place] = []
+        self._depth_order: DepthOrder[Track] = DepthOrder()
         self._next_id = 1
 
     @property
@@ -104,6 +106,7 @@ class KalmanTracker:
             self._end(track)
         self._tracks = []
         self._restless = []
+        self._depth_order = DepthOrder()
 
     def expected_outlines(self, ego_motion: Matrix, shape: tuple[int, int]) -> list[CroppedMask]:
         """Return where each object should be in the coming frame of some shape.
@@ -115,20 +118,22 @@ class KalmanTracker:
         ]
 
     def update(
-        self, detections: Sequence[Detection], ego_motion: Matrix, tilt: float
+        self, detections: Sequence[Detection], ego_motion: Matrix, tilt: float, image: ByteImage
     ) -> list[Observation]:
         """Match a frame's detections to the tracks, and start tracks for the others.
 
         :param ego_motion: takes the last frame's pixels to this one's.
         :param tilt: rms turbulent motion an axis in pixels.
+        :param image: HxWxC, this frame.
         :return: an observation for each track seen in this frame.
         """
         for track in self._tracks:
             track.carry(ego_motion)
         self._carry_places(ego_motion)
-        detections = self._reunited(self._divided(detections))
-        matched = self._match(detections, tilt)
-        observations = []
+        divided, detections = self._divided(detections, tilt, image)
+        detections = self._reunited(detections, divided)
+        observations = self._seen_beside_others(divided)
+        matched = self._match(detections, tilt, divided)
         for index, detection in enumerate(detections):
             known = matched.get(index)
             if known is None:
@@ -138,6 +143,8 @@ class KalmanTracker:
                 track = known
                 track.correct(detection)
             self._confirm(track, tilt)
+            if track.confirmed:
+                track.portrait = Portrait.of(detection.outline, image, track.seen_at)
             observations.append(track.observed(track.detection))
         seen = {id(observation.track) for observation in observations}
         for track in self._tracks:
@@ -151,7 +158,11 @@ class KalmanTracker:
         :param ego_motion: takes the last frame's pixels to this one's.
         :return: an observation for each track that was seen when last looked for.
         """
-        coasted = [(track, track.coast(ego_motion, shape)) for track in self._tracks]
+        # Where two overlap, the first one's is what is seen.
+        coasted = [
+            (track, track.coast(ego_motion, shape))
+            for track in self._depth_order.front_to_back(self._tracks)
+        ]
         self._carry_places(ego_motion)
         return [
             track.observed(detection)
@@ -164,46 +175,81 @@ class KalmanTracker:
             place.propagated(ego_motion) for place in self._restless if place.age < _RESTLESS_SPAN
         ]
 
-    def _divided(self, detections: Sequence[Detection]) -> list[Detection]:
-        """Split detections that hold several objects, say one that passes before another.
+    def _divided(
+        self, detections: Sequence[Detection], tilt: float, image: ByteImage
+    ) -> tuple[dict[Track, list[Detection]], list[Detection]]:
+        """Divide detections that hold several objects, say one that passes before another.
 
-        Each pixel goes to the object whose expected mask is nearest.
+        :return: each such object's parts, and the detections that hold one object at most.
         """
-        objects = [track for track in self._tracks if track.confirmed]
-        result: list[Detection] = []
+        portraits = {
+            track: track.portrait.at(track.position)
+            for track in self._tracks
+            if track.portrait is not None
+        }
+        divided: dict[Track, list[Detection]] = {}
+        whole = []
         for detection in detections:
-            held = [
-                track
-                for track in objects
-                if track.intersection_area(detection) > _HELD * track.detection.area
-            ]
-            result += [detection] if len(held) < 2 else divided_among(detection, held)
-        return result
+            claiming = {
+                track: portrait
+                for track, portrait in portraits.items()
+                if _has_claim(portrait.outline, detection)
+            }
+            if len(claiming) < 2:
+                whole.append(detection)
+                continue
+            parts = divided_among(detection.outline, claiming, image, tilt, self._depth_order)
+            for track, part in parts.items():
+                seen = Detection(part.box, part.mask, track.velocity, detection.moving)
+                divided.setdefault(track, []).append(seen)
+        return divided, whole
 
-    def _reunited(self, detections: Sequence[Detection]) -> list[Detection]:
+    def _reunited(
+        self, detections: Sequence[Detection], divided: dict[Track, list[Detection]]
+    ) -> list[Detection]:
         """Join detections that are parts of one object, say on both sides of a pole.
 
-        A part lies mostly where one object is expected, and on no other more.
+        A part lies mostly where one object is expected, and on no other more. Those of an object
+        that is among the divided ones are added there.
         """
         objects = [track for track in self._tracks if track.confirmed]
-        parts: dict[int, list[Detection]] = {}
+        parts: dict[Track, list[Detection]] = {}
         result = []
         for detection in detections:
             shares = [track.intersection_area(detection) / detection.area for track in objects]
             if shares and max(shares) > _PART:
-                parts.setdefault(int(np.argmax(shares)), []).append(detection)
+                track = objects[int(np.argmax(shares))]
+                (divided if track in divided else parts).setdefault(track, []).append(detection)
             else:
                 result.append(detection)
         return result + [joined(members) for members in parts.values()]
 
-    def _match(self, detections: Sequence[Detection], tilt: float) -> dict[int, Track]:
+    def _seen_beside_others(self, divided: Mapping[Track, list[Detection]]) -> list[Observation]:
+        """Take what is seen of objects that touch or hide one another."""
+        seen = {track: joined(parts) for track, parts in divided.items()}
+        observations = []
+        for track, detection in seen.items():
+            others = [other for there, other in seen.items() if there is not track]
+            hiding = joined(others).outline if others else EMPTY_MASK
+            assert track.portrait is not None
+            track.correct_beside(detection, track.portrait.at(track.position), hiding)
+            observations.append(track.observed(detection))
+        return observations
+
+    def _match(
+        self, detections: Sequence[Detection], tilt: float, taken: Collection[Track]
+    ) -> dict[int, Track]:
         """Return each detection's track by the detection's number; objects choose first.
 
         Else what an object was split into for a frame would take its place.
         """
         matched: dict[int, Track] = {}
         for confirmed in (True, False):
-            tracks = [track for track in self._tracks if track.confirmed == confirmed]
+            tracks = [
+                track
+                for track in self._tracks
+                if track.confirmed == confirmed and track not in taken
+            ]
             left = [number for number in range(len(detections)) if number not in matched]
             if not tracks or not left:
                 continue
@@ -246,10 +292,16 @@ class KalmanTracker:
         for track in lost:
             self._end(track)
         self._tracks = [track for track in self._tracks if track not in lost]
+        self._depth_order.keep(self._tracks)
 
     def _end(self, track: Track) -> None:
         if track.slot >= 0:
             self._free_slots = sorted([*self._free_slots, track.slot])
+
+
+def _has_claim(expected: CroppedMask, detection: Detection) -> bool:
+    common = np.count_nonzero(expected.within(detection.box) & detection.mask)
+    return bool(common > _CLAIM * min(expected.area, detection.area))
 
 
 def _cost(track: Track, detection: Detection, tilt: float) -> float:

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from turbseg_ros.arrays import Matrix, Point
+from turbseg_ros.arrays import ByteImage, Matrix, Point
 from turbseg_ros.segmentation.cropped_mask import CroppedMask
 from turbseg_ros.segmentation.track import (
     Detection,
@@ -55,10 +55,12 @@ class KMeansIds:
         return []
 
     def update(
-        self, detections: Sequence[Detection], ego_motion: Matrix, tilt: float
+        self, detections: Sequence[Detection], ego_motion: Matrix, tilt: float, image: ByteImage
     ) -> list[Observation]:
         """Take every detection for an object whose id is still open."""
-        tracks = [Track.started(detection, tilt) for detection in detections]
+        return self._take([Track.started(detection, tilt) for detection in detections])
+
+    def _take(self, tracks: list[Track]) -> list[Observation]:
         self._clip.append(tracks)
         return [track.observed(track.detection) for track in tracks]
 
@@ -66,7 +68,7 @@ class KMeansIds:
         """Take the masks of the frame before, carried along, for those of this one."""
         before = self._clip[-1] if self._clip else []
         carried = [track.expected(ego_motion, shape) for track in before]
-        return self.update([each for each in carried if each.area], ego_motion, 0.0)
+        return self._take([Track.started(each, 0.0) for each in carried if each.area])
 
     def settle(self) -> None:
         """Return the clip's masks their ids."""
@@ -88,8 +90,7 @@ def kmeans_ids(centroids: Sequence[Point], count: int) -> npt.NDArray[np.int64]:
     """Return every mask of a clip an id from 1 to `count` by where its centroid lies.
 
     The paper's mask ID unification, eq. 4: K-means over the centroids of all frames. It needs the
-    whole
-    clip and its number of objects, and it splits an object that crosses the view.
+    whole clip and its number of objects, and it splits an object that crosses the view.
 
     :param centroids: (x, y) of each mask of all frames.
     """

@@ -82,7 +82,7 @@ class Pipeline:
         # What moves here, measured (see `measure_motion`) or propagated: eq. 1 to 3.
         moving = self._schedule.what_moves(index, load.measures_seldom)
         if moving is None:
-            tracker.update([], ego_motion, 0.0)
+            tracker.update([], ego_motion, 0.0, self.window[index].detail)
             return PendingResult(frame, resolution)
         self._observer.motion(frame.stamp, moving)
 
@@ -97,7 +97,8 @@ class Pipeline:
             self._observer.detections(frame.stamp, detections, resolution)
             # Tracks: which object is which of those before (eq. 4).
             with self._observer.stage("tracking"):
-                observations = tracker.update(detections, ego_motion, tilt)
+                image = self.window[index].detail
+                observations = tracker.update(detections, ego_motion, tilt, image)
 
         # What is an object is no background, and only where one is does motion go on.
         shape = resolution.detail_shape

@@ -23,11 +23,14 @@ class Refiner(Protocol):
 def refined_masks(crops: Sequence[ObjectCrop], probabilities: Sequence[Map]) -> list[CroppedMask]:
     """Cut out what is rather object than background; in a crop, it is split by its gaps.
 
+    Of what several crops show, each keeps what lies nearest to its own area: else one would cut
+    pieces out of the other's objects.
+
     :param probabilities: one map a crop, hxw, as a `Refiner` gives them.
     """
     found = []
     for crop, probability in zip(crops, probabilities, strict=True):
-        mask = opened(probability > 0.5)
+        mask = opened(probability > 0.5) & crop.area.nearest
         if not crop.area.probable.any():
             # Nothing was found to move: without this the outline would creep away over the scene.
             mask &= crop.area.search_mask

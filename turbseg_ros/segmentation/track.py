@@ -12,11 +12,11 @@ from typing import Protocol
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from turbseg_ros.arrays import Mask, Matrix, Point
+from turbseg_ros.arrays import ByteImage, Mask, Matrix, Point
 from turbseg_ros.segmentation.cropped_mask import Box, CroppedMask
 from turbseg_ros.segmentation.geometry import translation
+from turbseg_ros.segmentation.occlusion import Portrait
 
 _TRAIL_LENGTH = 60
 # Share of the way its flow claims that an object must really have come, or it ends: flow bleeds
@@ -24,6 +24,8 @@ _TRAIL_LENGTH = 60
 _MIN_HONESTY = 0.25
 # Frames over which an object's way is compared with what it claims.
 _HONESTY_SPAN = 24
+# Share of an object that must be seen beside others for its place to be told by that.
+_MIN_VISIBLE = 0.2
 SHAPE_SPAN = 12
 """Frames over which an object's masks are compared with each other."""
 
@@ -61,11 +63,17 @@ class Detection:
 
 @dataclass(eq=False)
 class Track:
-    """One object through time."""
+    """One object through time.
+
+    `detection` is what was seen of it last, when its centroid, hidden parts included, was at
+    `seen_at`; `portrait` is what it looked like when last seen whole, None until it is an object.
+    """
 
     detection: Detection
     kalman: cv2.KalmanFilter
     birthplace: Point
+    seen_at: Point
+    portrait: Portrait | None = None
     id: int = 0
     slot: int = -1
     hits: int = 1
@@ -82,7 +90,8 @@ class Track:
 
         :param tilt: rms turbulent motion an axis in pixels.
         """
-        return cls(detection, _kalman_at(detection, tilt), detection.centroid)
+        centroid = detection.centroid
+        return cls(detection, _kalman_at(detection, tilt), birthplace=centroid, seen_at=centroid)
 
     @property
     def position(self) -> Point:
@@ -119,7 +128,7 @@ class Track:
 
     @property
     def _expected_box(self) -> Box:
-        dx, dy = np.rint(self.position - self.detection.centroid).astype(int)
+        dx, dy = np.rint(self.position - self.seen_at).astype(int)
         return self.detection.box.moved(int(dx), int(dy))
 
     def carry(self, ego_motion: Matrix) -> None:
@@ -139,7 +148,32 @@ class Track:
         union = self.detection.area + detection.area - common
         self.likeness = [*self.likeness, common / max(union, 1)][-SHAPE_SPAN:]
         self.kalman.correct(detection.centroid.reshape(2, 1))
-        self.detection = detection
+        self._see(detection, detection.centroid)
+
+    def correct_beside(self, detection: Detection, whole: Portrait, others: CroppedMask) -> None:
+        """Take what is seen of it where others touch or hide it.
+
+        Its place follows from where what is seen lies against what should be, the less surely the
+        less that is; its shape is taken to be what it was.
+
+        :param whole: the object where it is expected, hidden parts included.
+        :param others: the pixels of the others.
+        """
+        box = whole.outline.box
+        visible = whole.outline.mask & ~others.within(box)
+        share = np.count_nonzero(visible) / max(whole.outline.area, 1)
+        centroid = self.position
+        if share > _MIN_VISIBLE:
+            centroid += detection.centroid - Detection(box, visible, (0.0, 0.0), False).centroid
+            usual = np.array(self.kalman.measurementNoiseCov)
+            self.kalman.measurementNoiseCov = usual / share**2
+            self.kalman.correct(centroid.reshape(2, 1))
+            self.kalman.measurementNoiseCov = usual
+        self.likeness = [*self.likeness, *self.likeness[-1:]][-SHAPE_SPAN:]
+        self._see(detection, centroid)
+
+    def _see(self, detection: Detection, centroid: Point) -> None:
+        self.detection, self.seen_at = detection, centroid
         self.hits += 1
         self.claims = [*self.claims, float(np.hypot(*detection.velocity))][-_TRAIL_LENGTH:]
         self.still = 0 if detection.moving else self.still + 1
@@ -169,24 +203,13 @@ class Track:
         here = detection.mask[common.moved(-found.x0, -found.y0).slices]
         return int(np.count_nonzero(there & here))
 
-    def distance_to_expected(self, box: Box) -> npt.NDArray[np.float32]:
-        """Return the distance of each pixel in a box to where its mask is expected, hxw."""
-        expected = self._expected_box
-        free = np.ones(box.shape, np.uint8)
-        common = expected.intersection(box)
-        if common is not None:
-            there = self.detection.mask[common.moved(-expected.x0, -expected.y0).slices]
-            free[common.moved(-box.x0, -box.y0).slices] = ~there
-        distance: npt.NDArray[np.float32] = cv2.distanceTransform(free, cv2.DIST_L2, 3)
-        return distance
-
     def expected(self, ego_motion: Matrix, shape: tuple[int, int]) -> Detection:
         """Return it as it should be in the coming frame of some shape.
 
         :param ego_motion: takes the last frame's pixels to the coming one's.
         """
         # The position has been carried along since the mask was last seen.
-        x, y = self.position - self.detection.centroid + np.asarray(self.velocity)
+        x, y = self.position - self.seen_at + np.asarray(self.velocity)
         way = ego_motion @ translation(x, y)
         outline = self.detection.outline.resampled(way, shape, cv2.INTER_NEAREST)
         return Detection(outline.box, outline.mask, self.velocity, moving=False)
@@ -239,12 +262,13 @@ class Tracker(Protocol):
         """
 
     def update(
-        self, detections: Sequence[Detection], ego_motion: Matrix, tilt: float
+        self, detections: Sequence[Detection], ego_motion: Matrix, tilt: float, image: ByteImage
     ) -> list[Observation]:
         """Return an observation for each detection that stands for a track.
 
         :param ego_motion: takes the last frame's pixels to this one's.
         :param tilt: rms turbulent motion an axis in pixels.
+        :param image: HxWxC, this frame.
         """
 
     def coast(self, ego_motion: Matrix, shape: tuple[int, int]) -> list[Observation]:
@@ -255,19 +279,6 @@ class Tracker(Protocol):
 
     def settle(self) -> None:
         """Decide what is open: no frame follows."""
-
-
-def divided_among(detection: Detection, tracks: Sequence[Track]) -> list[Detection]:
-    """Divide a detection's pixels among the tracks that are expected in it, by distance."""
-    away = np.stack([track.distance_to_expected(detection.box) for track in tracks])
-    nearest = away.argmin(axis=0)
-    parts = []
-    for index, track in enumerate(tracks):
-        mask = detection.mask & (nearest == index)
-        if mask.any():
-            part = CroppedMask.of(mask, detection.box.x0, detection.box.y0)
-            parts.append(Detection(part.box, part.mask, track.velocity, detection.moving))
-    return parts
 
 
 def joined(parts: Sequence[Detection]) -> Detection:
