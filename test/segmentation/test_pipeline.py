@@ -98,6 +98,25 @@ def test_what_has_piled_up_is_worked_off_when_there_is_time_for_it() -> None:
     assert answered(waiting=haste - 1) == [0] * 16 + [1] + [2] * 9 + [1] * 4
 
 
+def test_what_is_left_is_flushed_in_haste_while_frames_wait() -> None:
+    segmenter = MotionSegmenter(PARAMETERS)
+    for frame in frames(CLIP):
+        segmenter.push(frame)
+    asked = []
+
+    def waiting() -> int:
+        asked.append(len(asked))
+        return PARAMETERS.latency.haste_from if len(asked) > 2 else 0
+
+    results = segmenter.flush(waiting)
+    every = PARAMETERS.flow.every
+    left = stamps(results)[-len(asked) :]
+    coasted = [result.frame.stamp for result in results if result.coasted]
+    assert coasted == [stamp for stamp in left[2:] if stamp % every]
+    assert len(coasted) > 3
+    assert len(ids(results)) == 1
+
+
 def test_in_haste_or_not_is_chosen_frame_by_frame() -> None:
     segmenter = MotionSegmenter(PARAMETERS.replace({"latency.warm_up": 0}))
     results = []

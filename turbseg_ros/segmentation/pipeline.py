@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 
@@ -170,9 +170,7 @@ class MotionSegmenter:
             objects are carried along instead of looked for, frames that have piled up are left
             for later, and with still more, motion is measured less often.
         """
-        latency = self._parameters.latency
-        self._in_haste = waiting >= latency.haste_from
-        self._sparse = waiting >= latency.sparse_from
+        self._hurry(waiting)
         at_most = 1 if self._in_haste and waiting else _CATCH_UP
         results = []
         if self._kind and _kind_of(frame) != self._kind:
@@ -184,9 +182,18 @@ class MotionSegmenter:
             results += self._take_in()
         return results + self._advance(ended=False, at_most=at_most)
 
-    def flush(self) -> list[SegmentationResult]:
-        """Return the results of all frames that have none yet."""
-        return self._take_in() + self._advance(ended=True)
+    def flush(self, waiting: Callable[[], int] | None = None) -> list[SegmentationResult]:
+        """Return the results of all frames that have none yet.
+
+        :param waiting: tells how many frames wait meanwhile to be pushed afterwards; asked before
+            each frame, which is hurried with as in `push`. By default, as the last `push` was told.
+        """
+        return self._take_in() + self._advance(ended=True, waiting=waiting)
+
+    def _hurry(self, waiting: int) -> None:
+        latency = self._parameters.latency
+        self._in_haste = waiting >= latency.haste_from
+        self._sparse = waiting >= latency.sparse_from
 
     def _prepare(self, frame: Frame) -> None:
         """Have a frame scaled and registered to the one before."""
@@ -218,8 +225,12 @@ class MotionSegmenter:
         self._frames[prepared.index] = frame.kept()
         return []
 
-    def _advance(self, ended: bool, at_most: int = 1) -> list[SegmentationResult]:
+    def _advance(
+        self, ended: bool, at_most: int = 1, waiting: Callable[[], int] | None = None
+    ) -> list[SegmentationResult]:
         for centre in self._window.ready(ended, at_most):
+            if waiting is not None:
+                self._hurry(waiting())
             self._pending.append(self._segment(centre))
         if ended:
             self._tracker.settle()
