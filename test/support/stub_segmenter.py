@@ -33,7 +33,7 @@ class StubSegmenter:
             raise RuntimeError(f"frame {self._count} is one of those that fail")
         return [self._result(frame)]
 
-    def flush(self, waiting: Callable[[], int]) -> list[SegmentationResult]:
+    def flush(self, waiting: Callable[[], int] | None = None) -> list[SegmentationResult]:
         return []
 
     def reset(self) -> None:

@@ -186,7 +186,7 @@ class MotionSegmenter:
         """Return the results of all frames that have none yet.
 
         :param waiting: tells how many frames wait meanwhile to be pushed afterwards; asked before
-            each frame, which is hurried with as in `push`. By default, as the last `push` was told.
+            each frame, which is hurried with as in `push`; by default, as the last `push` said.
         """
         return self._take_in() + self._advance(ended=True, waiting=waiting)
 
