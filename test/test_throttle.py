@@ -55,5 +55,5 @@ def test_a_burst_may_be_said_and_what_was_left_out_is_told_later():
         "object 0",
         "object 1",
         "object 2",
-        "7 more objects",
+        "more objects: 7",
     ]

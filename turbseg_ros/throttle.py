@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections import Counter, defaultdict, deque
+from collections import Counter, defaultdict
 from collections.abc import Callable, Hashable
 from typing import Any
 
@@ -29,8 +29,8 @@ class ThrottledLogger:
         self._period = period
         self._clock = clock
         self._lock = threading.Lock()
-        # When each kind was logged, the last `burst` times.
-        self._times: defaultdict[Hashable, deque[float]] = defaultdict(lambda: deque(maxlen=burst))
+        # When each kind was logged in its running period, which begins with the first time.
+        self._times: defaultdict[Hashable, list[float]] = defaultdict(list)
         self._burst = burst
         self._unsaid: Counter[Hashable] = Counter()
 
@@ -55,7 +55,7 @@ class ThrottledLogger:
             if not self._unsaid[kind] or not self._may_log(kind):
                 return
             unsaid = self._unsaid.pop(kind)
-        self._logger.info(f"{unsaid} {text}")
+        self._logger.info(f"{text}: {unsaid}")
 
     def _due(self, kind: Hashable, text: str) -> str | None:
         with self._lock:
@@ -68,7 +68,9 @@ class ThrottledLogger:
     def _may_log(self, kind: Hashable) -> bool:
         """Whether something of a kind may be logged now, which it is then taken to be."""
         now, times = self._clock(), self._times[kind]
-        if len(times) == self._burst and now - times[0] < self._period:
+        if times and now - times[0] >= self._period:
+            times.clear()
+        if len(times) == self._burst:
             return False
         times.append(now)
         return True

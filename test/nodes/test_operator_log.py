@@ -77,31 +77,34 @@ def test_many_objects_are_a_few_lines_and_a_count() -> None:
 def test_silence_is_told_once_and_again_when_the_reason_changes() -> None:
     log = Log()
     watch = InputWatch(log)
-    for silence, reason in [(1.0, "a"), (3.2, "a"), (4.2, "a"), (5.2, "b"), (0.1, "b"), (0.2, "")]:
-        watch.check("/image_raw", silence, 1.0, lambda reason=reason: reason)
+    steps = [(1.0, "a", 0), (3.2, "a", 0), (0.1, "a", 1)]  # its first image is told elsewhere
+    steps += [(3.2, "a", 9), (4.2, "a", 9), (5.2, "b", 9), (0.1, "b", 10), (0.2, "", 11)]
+    for silence, reason, received in steps:
+        watch.check("/image_raw", silence, 1.0, received, lambda reason=reason: reason)
     assert log.lines == [
         "no image on /image_raw for 3 s: a",
+        "no image on /image_raw for 3 s: a",
         "no image on /image_raw for 5 s: b",
-        "images come on /image_raw",
+        "images come again on /image_raw",
     ]
 
 
 def test_a_slow_camera_is_not_silent() -> None:
     log = Log()
-    InputWatch(log).check("/image_raw", 8.0, 10.0, lambda: "why")
+    InputWatch(log).check("/image_raw", 8.0, 10.0, 2, lambda: "why")
     assert log.lines == []
 
 
 @pytest.mark.parametrize(
     ("published", "told"),
     [
-        ({}, ["nobody publishes /image_raw, nor any other image", "ROS_DOMAIN_ID"]),
+        ({}, ["nobody publishes it, nor any other image", "ROS_DOMAIN_ID"]),
         ({"/image_raw": ["sensor_msgs/msg/Joy"]}, ["/image_raw carries sensor_msgs/msg/Joy, not"]),
         ({"/image_raw": [IMAGE_TYPE]}, ["published, but nothing arrives (asked for as reliable)"]),
         (
             {"/a/mask": [IMAGE_TYPE], "/cam/image_raw": [IMAGE_TYPE], "/imu": ["x/msg/Imu"]},
             [
-                "nobody publishes /image_raw; image topics: "
+                "nobody publishes it; image topics: "
                 f"/cam/image_raw ({IMAGE_TYPE}), /a/mask ({IMAGE_TYPE}); ",
                 "-r image_raw:=/cam/image_raw -p image_transport:=raw",
             ],

@@ -55,7 +55,7 @@ def missing_image_text(
     if wanted in carried:
         reason = f"it is published, but nothing arrives (asked for as {reliability})"
     else:
-        reason = mismatch_text(topic, wanted, carried) or f"nobody publishes {topic}"
+        reason = mismatch_text(topic, wanted, carried) or "nobody publishes it"
     images = {
         name: types
         for name, types in published.items()
@@ -90,19 +90,27 @@ class InputWatch:
     def __init__(self, logger: Any) -> None:
         self._logger = logger
         self._said = ""
+        self._received = 0
 
     def check(
-        self, topic: str, silence: float, patience: float, explain: Callable[[], str]
+        self,
+        topic: str,
+        silence: float,
+        patience: float,
+        received: int,
+        explain: Callable[[], str],
     ) -> None:
         """Take note of how long, in seconds, no image has come; to be called regularly.
 
         :param patience: seconds that images may be apart.
+        :param received: images that have come so far.
         :param explain: returns why none may come; called only while none does.
         """
         if silence < max(_SILENCE, patience):
-            if self._said:
-                self._logger.info(f"images come on {topic}")
-            self._said = ""
+            # The first image is told of elsewhere.
+            if self._said and self._received:
+                self._logger.info(f"images come again on {topic}")
+            self._said, self._received = "", received
             return
         reason = explain()
         if reason != self._said:

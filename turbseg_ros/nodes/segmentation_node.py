@@ -16,7 +16,7 @@ from std_srvs.srv import SetBool, Trigger
 from turbseg_ros.factory import motion_segmenter
 from turbseg_ros.messages.images import frame_from_serialised
 from turbseg_ros.messages.results import CentroidMarkers, UnitDepthPlane, outputs, views
-from turbseg_ros.nodes.diagnostics import Event, NodeState, Statistics, status_message
+from turbseg_ros.nodes.diagnostics import Event, NodeState, Report, Statistics, status_message
 from turbseg_ros.nodes.operator_log import (
     InputWatch,
     ObjectLog,
@@ -213,13 +213,17 @@ class TurbsegNode(Node):  # type: ignore[misc]  # rclpy is read as untyped
         report = self._statistics.take()
         message.status = [status_message(self.get_fully_qualified_name(), report, self._state())]
         self._diagnostics.publish(message)
-        self._watch_input(report.silence)
+        self._watch_input(report)
 
-    def _watch_input(self, silence: float) -> None:
+    def _watch_input(self, report: Report) -> None:
         images = self._images
         if images is not None:
             self._input_watch.check(
-                images.topic, silence, self._worker.patience, lambda: self._why_silent(images)
+                images.topic,
+                report.silence,
+                self._worker.patience,
+                report.totals[Event.RECEIVED],
+                lambda: self._why_silent(images),
             )
 
     def _why_silent(self, images: MatchingSubscription) -> str:
