@@ -23,7 +23,8 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument(
                 "camera_info",
                 default_value="camera_info",
-                description="CameraInfo topic of the same camera; it need not exist.",
+                description="CameraInfo topic of the same camera, if there is one; by default "
+                "that beside the image topic.",
             ),
             DeclareLaunchArgument(
                 "params_file",

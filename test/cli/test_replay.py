@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 from collections import deque
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
+from visualization_msgs.msg import ImageMarker
 
 from turbseg_ros.bag.reader import BagReader
 from turbseg_ros.bag.topics import IMAGE_TOPIC, LABELS_TOPIC, TRUTH_TOPIC
@@ -19,6 +21,7 @@ from turbseg_ros.cli import evaluate, replay
 from turbseg_ros.evaluation import baselines
 from turbseg_ros.evaluation.labels import read_labels
 from turbseg_ros.messages.images import message_from_image
+from turbseg_ros.messages.results import CentroidMarkers, Output, annotations_message, outputs
 from turbseg_ros.parameters import Parameters
 from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResult
 
@@ -159,6 +162,42 @@ def test_a_cut_recording_is_replayed_as_far_as_it_goes_and_the_loss_told(
     assert (f"{400 - count} images lost with what is damaged" in printed) == metadata
     assert "is truncated" in caplog.text
     assert ("how many messages are lost is not recorded" in caplog.text) != metadata
+
+
+def test_an_output_that_fails_takes_no_other_along(
+    bag: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    caplog: pytest.LogCaptureFixture,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def broken(result: SegmentationResult) -> ImageMarker:
+        if result.objects:
+            raise ValueError("no outline today")
+        return annotations_message(result)
+
+    def with_broken(max_objects: int, markers: CentroidMarkers) -> tuple[Output, ...]:
+        return tuple(
+            replace(output, build=broken) if output.name == "annotations" else output
+            for output in outputs(max_objects, markers)
+        )
+
+    monkeypatch.setattr(replay, "outputs", with_broken)
+    out = tmp_path / "out"
+    assert replay.main([str(bag), "-o", str(out)]) == 1
+    counts = {topic.name: topic.message_count for topic in BagReader(out).topics.values()}
+    assert counts == {
+        "/turbseg/labels": 8,
+        "/turbseg/mask": 8,
+        "/turbseg/centroids": 8,
+        "/turbseg/annotations": 4,
+        "/turbseg/objects/slot_1/mask": 6,
+    }
+    assert (
+        "8 results, 0 images skipped, annotations missing in 4 frames" in capsys.readouterr().out
+    )
+    assert caplog.text.count("output annotations failed") == 1
+    assert "no outline today" in caplog.text
 
 
 def test_nothing_is_written_when_no_image_can_be_read(

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.serialization import deserialize_message, serialize_message
 
 from turbseg_ros.nodes.diagnostics import Event, NodeState, Statistics, status_message
 from turbseg_ros.parameters import DiagnosticsParameters
@@ -46,6 +47,7 @@ def status(report, **changes):
         "topic": "/image_raw",
         "enabled": True,
         "publishers": 1,
+        "mismatch": "",
         "reliability": "reliable",
         "patience": 1.0,
         "limits": LIMITS,
@@ -101,6 +103,12 @@ def test_reports_rates_latencies_and_what_was_seen(statistics, clock):
     assert shown["latency mode"] == "centred"
 
 
+def test_diagnostics_come_back_from_serialisation_as_they_went(statistics, clock):
+    run_for_a_second(statistics, clock)
+    message = status(statistics.take())
+    assert deserialize_message(serialize_message(message), DiagnosticStatus) == message
+
+
 def test_periods_count_apart_and_totals_go_on(statistics, clock):
     run_for_a_second(statistics, clock)
     statistics.take()
@@ -118,6 +126,7 @@ def test_periods_count_apart_and_totals_go_on(statistics, clock):
         (Event.DROPPED, DiagnosticStatus.WARN),
         (Event.LOST, DiagnosticStatus.WARN),
         (Event.SKIPPED, DiagnosticStatus.WARN),
+        (Event.INCOMPLETE, DiagnosticStatus.WARN),
     ],
 )
 def test_level_follows_what_happened_in_the_period(statistics, clock, event, level):
@@ -174,6 +183,49 @@ def test_warns_while_there_is_no_clock(statistics, clock):
     message = status(statistics.take(), has_time=False)
     assert message.message == "use_sim_time is set, but nothing comes on /clock"
     assert math.isnan(float(figures(message)["latency from stamp p95 (ms)"]))
+
+
+@pytest.mark.parametrize(
+    ("latency", "told"),
+    [
+        (1.8e9, "stamps are 20833 days behind this node's clock"),
+        (-0.25, "stamps are 0.250 s ahead of this node's clock"),
+    ],
+)
+def test_stamps_of_another_clock_are_told_instead_of_a_latency(statistics, clock, latency, told):
+    for _ in range(5):
+        statistics.count(Event.RECEIVED)
+        statistics.answered(RESULT, since_stamp=latency, since_arrival=0.1)
+    message = status(statistics.take())
+    assert message.message == f"{told}: latency from stamp is not known"
+    assert message.level == OK
+    shown = figures(message)
+    assert {shown[f"latency from stamp p{part} (ms)"] for part in (50, 95)} == {"nan"}
+    assert float(shown["latency from arrival p50 (ms)"]) == pytest.approx(100.0)
+
+
+def test_a_slow_answer_is_no_other_clock(statistics, clock):
+    statistics.count(Event.RECEIVED)
+    statistics.answered(RESULT, since_stamp=60.0, since_arrival=60.0)
+    message = status(statistics.take())
+    assert figures(message)["latency from stamp p50 (ms)"] == "60000.0"
+    assert "clock" not in message.message
+
+
+def test_a_topic_of_another_type_is_told(statistics):
+    message = status(statistics.take(), publishers=0, mismatch="/a carries sensor_msgs/msg/Joy")
+    assert (message.level, message.message) == (
+        DiagnosticStatus.WARN,
+        "/a carries sensor_msgs/msg/Joy",
+    )
+
+
+def test_an_enabled_node_waits_anew(statistics, clock):
+    run_for_a_second(statistics, clock)
+    clock.time += 60.0
+    statistics.expect_images()
+    clock.time += 0.5
+    assert statistics.take().silence == pytest.approx(0.5)
 
 
 def test_silence_is_an_error(statistics, clock):

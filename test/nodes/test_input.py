@@ -11,6 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from sensor_msgs.msg import CompressedImage
+from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import MarkerArray
 
 from support.node_harness import (
@@ -103,7 +105,7 @@ def test_a_camera_that_goes_silent_is_reported_and_heard_when_it_is_back(tmp_pat
         camera = Camera(probe, qos=BEST_EFFORT, rate=30.0)
         camera.stamp = 5 * SECOND
         first = camera.send(IMAGE)
-        wait_while_sending(probe, camera, lambda: told(diagnostics, "segmenting"))
+        wait_while_sending(probe, camera, lambda: told(diagnostics, "stamps are"))
         assert answered(centroids)[0] == first
         assert node.stop(signal.SIGINT) == 0
     assert node.output.count("new window: time jumped back by") == 1
@@ -134,3 +136,80 @@ def test_each_kind_of_bad_image_is_warned_about_once(tmp_path, probe):
         assert node.stop(signal.SIGINT) == 0
     warnings = [line for line in node.output.splitlines() if "image skipped" in line]
     assert len(warnings) == 4
+
+
+def lines(node: NodeProcess, text: str) -> list[str]:
+    return [line for line in node.output.splitlines() if text in line]
+
+
+def test_the_log_tells_of_start_first_image_enable_and_reset(tmp_path, probe):
+    remapping = ("-r", "__ns:=/told", "-r", "image_raw:=/told_lens/image_raw")
+    with stub_node(tmp_path / "output", *remapping) as node:
+        probe.wait_for(lambda: "listening to" in node.output, "the first line")
+        (begun,) = lines(node, "listening to")
+        assert "/told_lens/image_raw (sensor_msgs/msg/Image), QoS reliable, or less" in begun
+        assert "latency mode centred" in begun
+        camera = Camera(probe, "/told_lens/image_raw", rate=30.0)
+        wait_while_sending(probe, camera, lambda: "first image: 160x120 'mono8'" in node.output)
+        wait_while_sending(probe, camera, lambda: "object 1 appeared at (" in node.output)
+        for wanted, told in ((False, "disabled"), (True, "enabled")):
+            probe.call("/told/turbseg/enable", SetBool, SetBool.Request(data=wanted))
+            probe.wait_for(lambda told=told: lines(node, f": {told}"), told)
+        assert probe.call("/told/turbseg/reset", Trigger, Trigger.Request()).success
+        probe.wait_for(lambda: "reset was called" in node.output, "the reset")
+        assert node.stop(signal.SIGINT) == 0
+    assert len(lines(node, "listening to")) == 2
+    assert len(lines(node, "first image")) == 1
+    assert "frame_id 'camera'" in node.output
+    assert "[WARN]" not in node.output
+
+
+@pytest.mark.parametrize(
+    ("topic", "told"),
+    [
+        ("/mute_lens/image_raw", "nobody publishes it; image topics: "),
+        ("/mute/image_raw", "/mute/image_raw carries sensor_msgs/msg/CompressedImage, not "),
+    ],
+)
+def test_silence_names_the_images_that_there_are(tmp_path, probe, topic, told):
+    advertised = f"{topic}/compressed" if "lens" in topic else topic
+    publisher = probe.advertise(advertised, CompressedImage, heard=False)
+    with stub_node(tmp_path / "output", "-r", "__ns:=/mute") as node:
+        diagnostics = probe.listen("/diagnostics", DiagnosticArray)
+        probe.wait_for(lambda: "no image on /mute/image_raw for " in node.output, "a warning")
+        probe.wait_for(lambda: diagnostics, "diagnostics")
+        assert node.stop(signal.SIGINT) == 0
+    (warning,) = lines(node, "no image on")
+    assert "[WARN]" in warning
+    assert told in warning
+    assert f"-r image_raw:={topic} -p image_transport:=compressed" in warning
+    # Its own outputs are no cameras.
+    assert "turbseg/" not in warning.partition("no image")[2]
+    status = diagnostics[-1].status[0]
+    assert ("CompressedImage" in status.message) == (topic == "/mute/image_raw")
+    assert "(0 publishers)" in status.message or "CompressedImage" in status.message
+    probe.withdraw(publisher)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "heard"),
+    [
+        (("-r", "image_raw:=/lens/image_rect"), "/lens/camera_info"),
+        (("-r", "image_raw:=/lens/image_raw", "-p", "image_transport:=compressed"), None),
+        ((), "/beside/camera_info"),
+        (("-r", "image_raw:=/lens/image_raw", "-r", "camera_info:=/other/info"), "/other/info"),
+        (("-r", "image_raw:=/lens/image_raw", "-r", "camera_info:=camera_info"), None),
+        (
+            ("-r", "image_raw:=/lens/image_raw", "-r", "/lens/camera_info:=/other/info"),
+            "/other/info",
+        ),
+        (("-r", "image_raw:=/image"), "/camera_info"),
+    ],
+    ids=["remapped", "compressed", "default", "both", "launch file", "by its full name", "root"],
+)
+def test_camera_info_is_heard_beside_the_image(tmp_path, probe, arguments, heard):
+    heard = heard or "/lens/camera_info"
+    with stub_node(tmp_path / "output", "-r", "__ns:=/beside", *arguments) as node:
+        probe.wait_for(lambda: probe.node.count_subscribers(heard), heard)
+        probe.wait_for(lambda: f"camera_info on {heard};" in node.output, "the first line")
+        assert node.stop(signal.SIGINT) == 0

@@ -5,11 +5,17 @@ import os
 import re
 import subprocess
 import sys
+import types
 
 import pytest
 import yaml
 
-from support.paths import ROOT
+from support.drawn_bag import write_drawn_bag
+from support.node_harness import SECOND
+from support.paths import CONFIG, ROOT
+from support.stub_segmenter import StubSegmenter
+from turbseg_ros.bag.reader import BagReader
+from turbseg_ros.cli import replay
 from turbseg_ros.messages.results import CentroidMarkers, outputs, views
 
 LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch.py"))
@@ -29,17 +35,83 @@ def test_launch_files_compile_and_define_the_entry_point(path):
     assert "generate_launch_description" in code.co_names
 
 
-TOPICS = {f"/turbseg/{output.name}" for output in (*outputs(1, CentroidMarkers()), *views())}
+# What a node in its default names publishes.
+LIVE = {f"/turbseg/{output.name}" for output in (*outputs(1, CentroidMarkers()), *views())}
+LIVE |= {"/diagnostics"}
 
 
-def test_the_foxglove_layout_shows_topics_that_exist():
-    layout = json.loads((ROOT / "config" / "turbseg_foxglove.json").read_text())
-    text = json.dumps(layout["configById"])
-    shown = set(re.findall(r'"(/[a-z_/]+)"', text))
-    assert shown - TOPICS == {"/image_raw", "/camera_info", "/diagnostics"}
-    assert {"/turbseg/overlay", "/turbseg/centroids", "/turbseg/annotations"} <= shown
+@pytest.fixture
+def replayed(tmp_path, monkeypatch):
+    """The topics of a bag that turbseg_replay writes."""
+    monkeypatch.setattr(replay, "clip_segmenter", lambda parameters, _: StubSegmenter(parameters))
+    bag = write_drawn_bag(tmp_path / "bag", [SECOND, 2 * SECOND])
+    assert replay.main([str(bag), "-o", str(tmp_path / "replayed")]) == 0
+    return set(BagReader(tmp_path / "replayed").topics)
+
+
+def foxglove_panels():
+    """Return the topics that each panel shows, by its title."""
+    layout = json.loads((CONFIG / "turbseg_foxglove.json").read_text())
     placed = set(re.findall(r'"(\w+![a-z]+)"', json.dumps(layout["layout"])))
     assert placed == set(layout["configById"])
+    return {
+        panel["foxglovePanelTitle"]: set(re.findall(r'"(/[^"]+)"', json.dumps(panel)))
+        for panel in layout["configById"].values()
+    }
+
+
+def rviz_displays():
+    """Return the topics that each display shows, by its name."""
+    manager = yaml.safe_load((CONFIG / "turbseg.rviz").read_text())["Visualization Manager"]
+    return {display["Name"]: {display["Topic"]["Value"]} for display in manager["Displays"]}
+
+
+@pytest.mark.parametrize("layout", [foxglove_panels, rviz_displays])
+def test_layouts_show_what_a_node_publishes_and_say_what_result_bags_lack(layout, replayed):
+    shown = layout()
+    assert all(topics and topics <= LIVE for topics in shown.values()), shown
+    assert {name for name, topics in shown.items() if not topics <= replayed} == {
+        name for name in shown if name.endswith("(live)")
+    }
+    # Pictures and markers of both.
+    assert {"/turbseg/mask", "/turbseg/centroids"} <= set().union(*shown.values()) & replayed
+
+
+def launched_node(path, monkeypatch):
+    """Return what a launch file starts, from stand-ins for the launch packages."""
+    started: list[dict[str, object]] = []
+    defaults: dict[str, object] = {}
+
+    def declare(name, default_value="", description=""):
+        defaults[name] = default_value
+
+    launch, ros = types.ModuleType("launch"), types.ModuleType("launch_ros")
+    modules = {
+        "launch": launch,
+        "launch.actions": types.SimpleNamespace(DeclareLaunchArgument=declare),
+        "launch.substitutions": types.SimpleNamespace(
+            LaunchConfiguration=lambda name: defaults[name],
+            PathJoinSubstitution="/".join,
+        ),
+        "launch_ros": ros,
+        "launch_ros.actions": types.SimpleNamespace(Node=lambda **given: started.append(given)),
+        "launch_ros.substitutions": types.SimpleNamespace(FindPackageShare=str),
+    }
+    launch.LaunchDescription = list
+    for name, module in modules.items():
+        monkeypatch.setitem(sys.modules, name, module)
+    content: dict[str, object] = {}
+    exec(compile(path.read_text(), path, "exec"), content)
+    content["generate_launch_description"]()
+    (node,) = started
+    return node
+
+
+def test_the_launch_file_remaps_no_camera_info_by_default(monkeypatch):
+    node = launched_node(ROOT / "launch" / "turbseg.launch.py", monkeypatch)
+    # A name remapped to itself leaves it to the node, which looks beside the image topic.
+    assert ("camera_info", "camera_info") in node["remappings"]
+    assert {name for name, _ in node["remappings"]} == {"image_raw", "camera_info"}
 
 
 def test_fast_dds_takes_the_profile_for_large_images(tmp_path):
@@ -54,10 +126,3 @@ def test_fast_dds_takes_the_profile_for_large_images(tmp_path):
         check=True,
     )
     assert "XMLPARSER" not in finished.stdout + finished.stderr
-
-
-def test_the_rviz_configuration_shows_topics_that_exist():
-    configuration = yaml.safe_load((ROOT / "config" / "turbseg.rviz").read_text())
-    shown = [display["Topic"] for display in configuration["Visualization Manager"]["Displays"]]
-    assert shown
-    assert {topic["Value"] for topic in shown} <= TOPICS

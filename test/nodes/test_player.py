@@ -12,17 +12,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
 from support.node_harness import BEST_EFFORT, TIMEOUT, Probe
-from turbseg_ros.bag.reader import Topic
+from turbseg_ros.bag.reader import Record, Topic
 from turbseg_ros.bag.writer import BagWriter
 from turbseg_ros.cli.play import main
 from turbseg_ros.messages.images import image_from_message, message_from_image, stamp_to_ns
-from turbseg_ros.nodes.player import Timeline, lossless_qos, recorded_qos
+from turbseg_ros.nodes.player import Extent, Timeline, lossless_qos, recorded_qos
 
 SECOND = 10**9
 FRAMES = 15
@@ -210,6 +211,79 @@ def test_it_starts_paused_and_goes_on_when_told(play, probe):
     probe.wait_for(lambda: words, "the first word")
 
 
+def test_a_loop_goes_on_in_time(play, probe):
+    process = play("--loop", "--clock", "--rate", "3", "--wait", str(TIMEOUT))
+    ticks = probe.listen("/clock", Clock)
+    images = probe.listen(IMAGES, Image)
+    truths = probe.listen("/ground_truth/labels", Image)
+    probe.wait_for(lambda: len(images) > 3 * FRAMES, "three rounds")
+    process.send_signal(signal.SIGINT)
+    stamps = [stamp_to_ns(image.header.stamp) for image in images]
+    # The step from the last frame to the first is the usual one.
+    assert np.diff(stamps).tolist() == [PERIOD] * (len(stamps) - 1)
+    # A stamp of 0 is none.
+    assert {stamp_to_ns(truth.header.stamp) for truth in truths} == {0}
+    times = [stamp_to_ns(tick.clock) for tick in ticks]
+    assert times == sorted(times)
+    assert times[-1] > 5 * SECOND + 2 * FRAMES * PERIOD
+
+
+def test_messages_are_stamped_with_the_time_of_publishing(play, probe):
+    process = play("--loop", "--stamp-now", "--wait", str(TIMEOUT))
+    began = time.time_ns()
+    images = probe.listen(IMAGES, Image)
+    probe.wait_for(lambda: len(images) > FRAMES, "a second round")
+    process.send_signal(signal.SIGINT)
+    stamps = [stamp_to_ns(image.header.stamp) for image in images]
+    assert began < stamps[0]
+    assert stamps == sorted(set(stamps))
+    assert stamps[-1] < time.time_ns()
+    rng = np.random.default_rng(0)
+    for image in images[:FRAMES]:
+        np.testing.assert_array_equal(
+            image_from_message(image), rng.integers(0, 255, (480, 640), np.uint8)
+        )
+
+
+def test_what_was_taken_at_one_time_is_so_when_stamped_anew(tmp_path, probe):
+    with BagWriter(tmp_path / "pairs") as writer:
+        for number in range(5):
+            stamp = SECOND + number * PERIOD
+            stamped = message_from_image(np.zeros((2, 2), np.uint8), "mono8", stamp)
+            writer.write("/left", stamped, stamp)
+            writer.write("/right", stamped, stamp + PERIOD // 2)
+    command = [sys.executable, "-m", "turbseg_ros.cli", "play", str(tmp_path / "pairs")]
+    with subprocess.Popen([*command, "--stamp-now", "--wait", str(TIMEOUT)]) as process:
+        left, right = probe.listen("/left", Image), probe.listen("/right", Image)
+        probe.wait_for(lambda: len(left) == len(right) == 5, "all images")
+        assert process.wait(TIMEOUT) == 0
+    assert [image.header.stamp for image in left] == [image.header.stamp for image in right]
+
+
+@pytest.mark.parametrize(
+    ("stamps", "headers", "period"),
+    [
+        # As fast as it was recorded; a hold-up at the end changes nothing.
+        ([0, 10, 20, 30], [0, 10, 20, 30], 40),
+        ([0, 10, 20, 300], [0, 10, 20, 30], 310),
+        # The first image was late, so that the stamps span more than what was recorded.
+        ([5, 10, 20, 30], [-5, 10, 20, 30], 45),
+        # Stamps that are no clock's tell nothing.
+        ([0, 10, 20, 30], [0, 10, 10**12, 30], 40),
+        ([0], [0], SECOND),
+    ],
+    ids=str,
+)
+def test_a_round_lasts_until_the_next_image_is_due(stamps, headers, period):
+    extent = Extent()
+    for stamp, header in zip(stamps, headers, strict=True):
+        image = message_from_image(np.zeros((2, 2), np.uint8), "mono8", 10**9 + header)
+        data = serialize_message(image)
+        extent.add(Record(IMAGES, "sensor_msgs/msg/Image", stamp, data), Image)
+        extent.add(Record("/chatter", "std_msgs/msg/String", stamp, b""), String)
+    assert extent.period({IMAGES}) == period
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_loop_goes_on_until_a_signal_and_ends_well(play, probe, number):
     process = play("--loop", "--rate", "3")
@@ -235,6 +309,7 @@ def test_nobody_listening_is_one_line(bag, capsys):
     [
         (["--topics", "/nope"], "has no /nope; its topics: /camera/image_raw, /ground_truth"),
         (["--ros-args", "-r", "nonsense"], "remap rule"),
+        (["--clock", "--stamp-now"], "choose one of them"),
     ],
 )
 def test_what_cannot_be_played_is_one_line(bag, capsys, arguments, complaint):

@@ -60,6 +60,31 @@ def test_only_what_is_heard_or_stateful_is_built(probe):
     assert [message.data for message in messages] == ["1 at 2", "2 at 3"]
 
 
+def test_an_output_that_fails_takes_no_other_along(probe, capfd):
+    def broken(_result: SegmentationResult) -> String:
+        raise ValueError("cannot be drawn")
+
+    incomplete: list[bool] = []
+    before, after = Counter(), Counter()
+    publisher = ResultPublisher(
+        probe.node,
+        [
+            Output("before", String, before, stateful=True),
+            Output("broken", String, broken, stateful=True),
+            Output("ill", String, lambda _: "not a message", stateful=True),
+            Output("after", String, after, stateful=True),
+        ],
+        on_incomplete=lambda: incomplete.append(True),
+    )
+    for stamp in range(5):
+        publisher.publish(result(stamp))
+    assert (before.built, after.built, len(incomplete)) == (5, 5, 5)
+    log = capfd.readouterr().err
+    assert log.count("output broken failed") == 1
+    assert log.count("output ill failed") == 1
+    assert "cannot be drawn" in log
+
+
 def test_images_are_wanted_while_somebody_looks_at_them(probe):
     overlay = Counter()
     publisher = ResultPublisher(

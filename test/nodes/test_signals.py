@@ -52,7 +52,8 @@ def stop_while_it_starts(tmp_path, probe, signals, delay):
         probe.wait_for(lambda: process.blocks(signals[0]), "the node's first line")
         time.sleep(delay)
         assert process.stop(*signals) == 0
-    assert process.output == ""
+    # At most what it listens to.
+    assert all("[INFO]" in line for line in process.output.splitlines()), process.output
 
 
 @by_signals

@@ -37,7 +37,8 @@ class DelayedSegmenter:
         self._window.append(frame)
         return [result_of(self._window.pop(0))] if len(self._window) > self.delay else []
 
-    def flush(self, waiting=0):
+    def flush(self, waiting):
+        self.waiting_at_flush = waiting
         results = [result_of(frame) for frame in self._window]
         self._window = []
         return results
@@ -297,6 +298,16 @@ def test_stopping_gives_up_on_a_frame_that_takes_for_ever(harness, monkeypatch):
     harness.segmenter.gate.set()
     harness.worker._thread.join(5.0)
     assert harness.answered == answered
+
+
+def test_a_flush_learns_how_many_images_wait_by_then(harness):
+    harness.submit(*stamps(5), stamps(1, -(10**10))[0])
+    harness.settle()
+    harness.segmenter.gate.clear()
+    harness.submit(*stamps(4, -(10**10) + PERIOD))
+    while harness.worker.waiting > 3:
+        time.sleep(0.001)
+    assert harness.segmenter.waiting_at_flush() == 3
 
 
 def test_inbox_gives_commands_before_images():

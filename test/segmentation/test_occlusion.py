@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from support.drawn_scene import ByteImage, Mask, jaccard, rectangle, texture
-from support.segmenters import segmenter_by_rules
+from support.segmenters import ObservingRefiner, segmenter_refined_by
 from turbseg_ros.parameters import Parameters
 from turbseg_ros.segmentation.cropped_mask import CroppedMask
 from turbseg_ros.segmentation.foreground import ObjectCrop
@@ -101,14 +101,18 @@ def test_an_object_that_is_hidden_altogether_has_no_pixels() -> None:
     assert parts.keys() == {"near"}
 
 
-class Silhouettes:
+class Silhouettes(ObservingRefiner):
     """Judges every pixel by whether any object is there."""
 
     def __init__(self, truth: Sequence[np.ndarray]) -> None:
         self._truth = truth
+        self._labels = truth[0]
+
+    def crops(self, stamp: int, crops: Sequence[ObjectCrop]) -> None:
+        self._labels = self._truth[stamp]
 
     def refine(self, crops: Sequence[ObjectCrop]) -> list[np.ndarray]:
-        return [(self._truth[w.stamp][w.box.slices] > 0).astype(np.float32) for w in crops]
+        return [(self._labels[crop.box.slices] > 0).astype(np.float32) for crop in crops]
 
 
 FRAMES = 40
@@ -134,7 +138,7 @@ def passing() -> list[tuple[SegmentationResult, np.ndarray]]:
     drawn = list(crossing())
     truth = [labels for _, labels in drawn]
     parameters = Parameters.from_mapping({"resolution.processing": 160})
-    with_silhouettes = segmenter_by_rules(parameters, Silhouettes(truth))
+    with_silhouettes = segmenter_refined_by(Silhouettes(truth), parameters)
     frames = [Frame(number, image) for number, (image, _) in enumerate(drawn)]
     results = [result for frame in frames for result in with_silhouettes.push(frame)]
     return list(zip([*results, *with_silhouettes.flush()], truth, strict=True))

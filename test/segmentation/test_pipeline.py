@@ -78,7 +78,7 @@ def test_in_haste_the_square_is_carried_along_between_measurements() -> None:
     segmenter = segmenter_by_rules(PARAMETERS)
     waiting = PARAMETERS.latency.haste_from
     results = [result for frame in frames(CLIP) for result in segmenter.push(frame, waiting)]
-    results += segmenter.flush(waiting)
+    results += segmenter.flush(lambda: waiting)
     assert_sound(results)
     every = PARAMETERS.flow.every
     coasted = [result.frame.stamp for result in results if result.coasted]
@@ -100,12 +100,31 @@ def test_what_has_piled_up_is_worked_off_when_there_is_time_for_it() -> None:
     assert answered(waiting=haste - 1) == [0] * 16 + [1] + [2] * 9 + [1] * 4
 
 
+def test_what_is_left_is_flushed_in_haste_while_frames_wait() -> None:
+    segmenter = segmenter_by_rules(PARAMETERS)
+    for frame in frames(CLIP):
+        segmenter.push(frame)
+    asked = []
+
+    def waiting() -> int:
+        asked.append(len(asked))
+        return PARAMETERS.latency.haste_from if len(asked) > 2 else 0
+
+    results = segmenter.flush(waiting)
+    every = PARAMETERS.flow.every
+    left = stamps(results)[-len(asked) :]
+    coasted = [result.frame.stamp for result in results if result.coasted]
+    assert coasted == [stamp for stamp in left[2:] if stamp % every]
+    assert len(coasted) > 3
+    assert len(ids(results)) == 1
+
+
 def test_in_haste_or_not_is_chosen_frame_by_frame() -> None:
     segmenter = segmenter_by_rules(PARAMETERS.replace({"latency.warm_up": 0}))
     results = []
     for number, frame in enumerate(frames(CLIP)):
         results += segmenter.push(frame, PARAMETERS.latency.haste_from if number >= 20 else 0)
-    results += segmenter.flush(PARAMETERS.latency.haste_from)
+    results += segmenter.flush(lambda: PARAMETERS.latency.haste_from)
     coasted = [result.frame.stamp for result in results if result.coasted]
     # What is segmented when a frame comes is one so many frames before it.
     first = 20 - PARAMETERS.flow.interval - PARAMETERS.flow.every - 1
@@ -136,7 +155,7 @@ def test_motion_is_measured_half_as_often_while_very_many_frames_wait() -> None:
     segmenter = segmenter_by_rules(PARAMETERS)
     waiting = PARAMETERS.latency.sparse_from
     results = [result for frame in frames(CLIP) for result in segmenter.push(frame, waiting)]
-    results += segmenter.flush(waiting)
+    results += segmenter.flush(lambda: waiting)
     assert_sound(results)
     assert measured(results) == list(range(0, len(results), 2 * every))
     for number, result in enumerate(results[16:-2], 16):
@@ -150,7 +169,7 @@ def test_after_the_rush_motion_is_measured_as_often_as_before() -> None:
     for number, frame in enumerate(frames(CLIP)):
         rush = number < 10 + every
         results += segmenter.push(frame, latency.sparse_from if rush else latency.haste_from)
-    results += segmenter.flush(latency.haste_from)
+    results += segmenter.flush(lambda: latency.haste_from)
     answers = range(0, len(results), every)
     assert measured(results) == [number for number in answers if number != every]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 
 import numpy as np
 
@@ -32,7 +33,7 @@ class StubSegmenter:
             raise RuntimeError(f"frame {self._count} is one of those that fail")
         return [self._result(frame)]
 
-    def flush(self, waiting: int = 0) -> list[SegmentationResult]:
+    def flush(self, waiting: Callable[[], int] | None = None) -> list[SegmentationResult]:
         return []
 
     def reset(self) -> None:

@@ -104,10 +104,7 @@ class BagWriter:
 
     def write(self, topic: str, message: object, stamp_ns: int) -> None:
         """Append a ROS message, recorded at `stamp_ns` (nanoseconds since the epoch)."""
-        cdr = (
-            serialised_image(message) if isinstance(message, Image) else serialize_message(message)
-        )
-        self.write_serialized(topic, type_name_of(message), cdr, stamp_ns)
+        self.write_serialized(topic, type_name_of(message), serialised(message), stamp_ns)
 
     def write_serialized(self, topic: str, type_name: str, cdr: bytes, stamp_ns: int) -> None:
         """Append a message that is serialized as CDR already, encapsulation header included.
@@ -197,6 +194,13 @@ class BagWriter:
             yield
         except OSError as error:
             raise BagError(f"cannot write {self._path}: {error.strerror or error}") from error
+
+
+def serialised(message: object) -> bytes:
+    """Return a ROS message as CDR, encapsulation header included."""
+    if isinstance(message, Image):
+        return serialised_image(message)
+    return bytes(serialize_message(message))
 
 
 def _copied(extent: dict[str, Any]) -> dict[str, Any]:

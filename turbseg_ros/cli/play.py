@@ -16,6 +16,7 @@ from turbseg_ros.bag.reader import BagReader
 from turbseg_ros.cli.errors import Interrupted, UsageError, executable
 from turbseg_ros.cli.options import positive_count, positive_number
 from turbseg_ros.nodes.player import Player, Timeline, lossless_qos, recorded_qos
+from turbseg_ros.throttle import ThrottledLogger
 
 # How long subscribers may take to acknowledge the last messages, in seconds.
 _ACKNOWLEDGEMENT = 10.0
@@ -33,6 +34,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(command: Sequence[str]) -> None:
     try:
         options = _parser().parse_args(remove_ros_args(command)[1:])
+        if options.clock and options.stamp_now:
+            raise UsageError(
+                "--clock publishes the bag's time and --stamp-now another one; choose one of them"
+            )
         reader = BagReader(options.bag)
         rclpy.init(args=command, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:  # ROS arguments that can't be
@@ -44,6 +49,7 @@ def _run(command: Sequence[str]) -> None:
             timeline,
             topics=options.topics,
             clock=options.clock,
+            stamp_now=options.stamp_now,
             qos=recorded_qos if options.recorded_qos else lossless_qos,
         )
         try:
@@ -56,6 +62,7 @@ def _run(command: Sequence[str]) -> None:
 
 def _play(player: Player, options: argparse.Namespace) -> None:
     log = player.get_logger()
+    throttled = ThrottledLogger(log)
     if options.wait:
         missing = player.wait_for_subscribers(options.subscribers, options.wait)
         if missing:
@@ -65,7 +72,8 @@ def _play(player: Player, options: argparse.Namespace) -> None:
             )
     while True:
         played = player.play()
-        log.info(f"played {played.count} messages, at most {played.lateness * 1e3:.1f} ms late")
+        late = f"at most {played.lateness * 1e3:.1f} ms late"
+        throttled.info("played", f"played {played.count} messages, {late}")
         if not (options.loop and played.count):
             break
     if not player.wait_until_received(_ACKNOWLEDGEMENT):
@@ -83,8 +91,15 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--rate", type=positive_number, default=1.0, metavar="R", help="times as fast (default: 1)"
     )
-    parser.add_argument("--loop", action="store_true", help="begin again at the end")
+    parser.add_argument(
+        "--loop", action="store_true", help="play it again and again; times in messages go on"
+    )
     parser.add_argument("--clock", action="store_true", help="publish the bag's time on /clock")
+    parser.add_argument(
+        "--stamp-now",
+        action="store_true",
+        help="stamp messages with the time at which they are published, as a camera would",
+    )
     parser.add_argument(
         "--topics", nargs="+", metavar="T", help="topics to publish (default: all)"
     )

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import argparse
 import functools
+import logging
+import traceback
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
 from turbseg_ros.bag.errors import BagError
 from turbseg_ros.bag.frames import BagFrames, ahead
 from turbseg_ros.bag.reader import BagReader
+from turbseg_ros.bag.schema import type_name_of
 from turbseg_ros.bag.topics import RESULT_NAMESPACE
-from turbseg_ros.bag.writer import BagWriter
+from turbseg_ros.bag.writer import BagWriter, serialised
 from turbseg_ros.cli.errors import executable
 from turbseg_ros.cli.memory import keep_large_buffers
 from turbseg_ros.cli.options import add_parameter_options, parameters_from, with_progress
@@ -19,18 +23,25 @@ from turbseg_ros.factory import clip_segmenter
 from turbseg_ros.messages.results import CentroidMarkers, Output, outputs, slot_output
 from turbseg_ros.overlay import OverlayStrip, write_picture
 from turbseg_ros.segmentation.frame import SegmentationResult, segment
+from turbseg_ros.throttle import ThrottledLogger
+
+_LOGGER = logging.getLogger(__name__)
 
 
 class ResultWriter:
     """Writes results to the node's topics in a bag, at the stamps of their frames.
 
-    A slot has its topic from the first object on that holds it, with a mask for each frame.
+    A slot has its topic from the first object on that holds it, with a mask for each frame. An
+    output that fails is warned about, throttled, and counted in `failed` under its name; the
+    others are written all the same.
     """
 
     def __init__(self, bag: BagWriter) -> None:
         self._bag = bag
         self._outputs = outputs(0, CentroidMarkers())
         self._slots: dict[int, Output] = {}
+        self._throttled = ThrottledLogger(_LOGGER)
+        self.failed: Counter[str] = Counter()
 
     def write(self, result: SegmentationResult) -> None:
         """Append one result.
@@ -43,7 +54,21 @@ class ResultWriter:
         # A camera's clock may be set before the epoch, a bag's time can't.
         recorded_at = max(result.frame.stamp, 0)
         for output in (*self._outputs, *self._slots.values()):
-            self._bag.write(f"{RESULT_NAMESPACE}/{output.name}", output.build(result), recorded_at)
+            self._write(output, result, recorded_at)
+
+    def _write(self, output: Output, result: SegmentationResult, recorded_at: int) -> None:
+        try:
+            message = output.build(result)
+            cdr = serialised(message)
+        except Exception:
+            # Whatever it is, the other outputs may be sound.
+            self.failed[output.name] += 1
+            self._throttled.warning(
+                output.name, f"output {output.name} failed: {traceback.format_exc()}"
+            )
+            return
+        topic = f"{RESULT_NAMESPACE}/{output.name}"
+        self._bag.write_serialized(topic, type_name_of(message), cdr, recorded_at)
 
 
 @executable("turbseg_replay")
@@ -74,8 +99,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.overlay is not None:
         write_picture(options.overlay, strip.picture())
     lost = f", {frames.lost} images lost with what is damaged" if frames.lost else ""
-    print(f"{options.out}: {count} results, {frames.skipped} images skipped{lost}")
-    return 0
+    failed = "".join(
+        f", {name} missing in {times} frames" for name, times in results.failed.items()
+    )
+    print(f"{options.out}: {count} results, {frames.skipped} images skipped{lost}{failed}")
+    return 1 if failed else 0
 
 
 def _parser() -> argparse.ArgumentParser:

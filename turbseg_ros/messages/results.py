@@ -106,7 +106,7 @@ def annotations_message(result: SegmentationResult) -> ImageMarker:
         colour = _colour(moving_object.id)
         for contour in outlines(result.labels, moving_object):
             corners = [
-                Point(x=x, y=y)
+                _point(x, y)
                 for x, y in cv2.approxPolyDP(contour, _OUTLINE_TOLERANCE, True)[:, 0].tolist()
             ]
             for start, end in zip(corners, [*corners[1:], corners[0]], strict=True):
@@ -259,12 +259,13 @@ class _MarkerBrush:
         marker = Marker(header=self.header, ns=namespace, id=object_id, type=kind)
         marker.action = Marker.ADD
         marker.pose.orientation.w = 1.0
-        marker.scale = Vector3(x=scale[0], y=scale[1], z=scale[2])
+        x, y, z = map(float, scale)
+        marker.scale = Vector3(x=x, y=y, z=z)
         marker.color = _colour(object_id)
         return marker
 
     def _points(self, pixels: npt.ArrayLike) -> list[Point]:
-        return [Point(x=x, y=y, z=z) for x, y, z in self.plane.place(pixels).tolist()]
+        return [_point(x, y, z) for x, y, z in self.plane.place(pixels).tolist()]
 
 
 @dataclass(frozen=True)
@@ -317,3 +318,8 @@ def _image(result: SegmentationResult, array: npt.NDArray[Any], encoding: str) -
 def _colour(object_id: int) -> ColorRGBA:
     blue, green, red = colour_of(object_id)
     return ColorRGBA(r=red / 255.0, g=green / 255.0, b=blue / 255.0, a=1.0)
+
+
+def _point(x: float, y: float, z: float = 0.0) -> Point:
+    # rclpy takes an int's memory for that of a double, unchecked.
+    return Point(x=float(x), y=float(y), z=float(z))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import enum
 import math
+import statistics
 import threading
 import time
 from collections import Counter, deque
@@ -18,6 +19,9 @@ from turbseg_ros.segmentation.frame import SegmentationResult
 
 # Failures this long ago, in seconds, tell that a new one is no single accident.
 _FAILURE_MEMORY = 10.0
+# Seconds. Older stamps are of another clock: that of a recording, or the camera's uptime.
+_DAY = 86400.0
+_MAX_LATENCY = _DAY
 
 
 class Event(enum.Enum):
@@ -30,6 +34,7 @@ class Event(enum.Enum):
     LOST = "lost by the middleware"
     SKIPPED = "skipped"
     FAILED = "failed"
+    INCOMPLETE = "answered without some output"
 
 
 @dataclass(frozen=True)
@@ -84,6 +89,11 @@ class Statistics:
             self._from_stamp.append(since_stamp)
             self._from_arrival.append(since_arrival)
 
+    def expect_images(self) -> None:
+        """Count the time without an image from now on."""
+        with self._lock:
+            self._last_image = self._clock()
+
     def failed(self, frames: int = 1) -> None:
         """Note that something failed and cost so many frames their results."""
         with self._lock:
@@ -126,16 +136,17 @@ class Statistics:
 class NodeState:
     """How the node stands.
 
-    `publishers` and `reliability` are those of its image topic. `patience` is the silence, in
-    seconds, after which the input counts as stale. `limits` are what the user asks for.
-    `has_time` is False while the node waits for /clock. `look_ahead` is the number of frames that
-    have to follow one before it is answered; `waiting` images have not been looked at yet.
-    `device` is what it computes on.
+    `publishers` and `reliability` are those of its image topic; `mismatch` tells what other type
+    it carries, if it does. `patience` is the silence, in seconds, after which the input counts as
+    stale. `limits` are what the user asks for. `has_time` is False while the node waits for
+    /clock. `look_ahead` is the number of frames that have to follow one before it is answered;
+    `waiting` images have not been looked at yet. `device` is what it computes on.
     """
 
     topic: str
     enabled: bool
     publishers: int
+    mismatch: str
     reliability: str
     patience: float
     limits: DiagnosticsParameters
@@ -165,7 +176,10 @@ def _findings(report: Report, state: NodeState) -> Iterator[tuple[bytes, str]]:
         yield ok, "disabled"
         return
     if not report.totals[Event.RECEIVED]:
-        yield warn, f"no image yet on {state.topic} ({state.publishers} publishers)"
+        yield (
+            warn,
+            (state.mismatch or f"no image yet on {state.topic} ({state.publishers} publishers)"),
+        )
         return
     if report.silence > state.patience:
         yield error, f"no image on {state.topic} for {report.silence:.1f} s"
@@ -177,15 +191,36 @@ def _findings(report: Report, state: NodeState) -> Iterator[tuple[bytes, str]]:
         yield error, f"segmenting failed {report.failures} times; the log tells why"
     if report.events[Event.COASTED]:
         yield ok, f"{report.events[Event.COASTED]} images {Event.COASTED.value}"
-    for event in (Event.DROPPED, Event.LOST, Event.SKIPPED):
+    for event in (Event.DROPPED, Event.LOST, Event.SKIPPED, Event.INCOMPLETE):
         if report.events[event]:
             yield warn, f"{report.events[event]} images {event.value}"
     if report.last and _relative_tilt(report.last) > state.limits.max_turbulence:
         yield warn, f"turbulence of {report.last.tilt:.1f} px: objects may be missed"
     if state.publishers > 1:
         yield warn, f"{state.publishers} publishers on {state.topic}: their images mix"
+    if offset := _foreign_clock(report):
+        yield ok, f"stamps are {offset} this node's clock: latency from stamp is not known"
     if not state.has_time:
         yield warn, "use_sim_time is set, but nothing comes on /clock"
+
+
+def _known_latency_from_stamp(report: Report, state: NodeState) -> Sequence[float]:
+    """Return the latencies; none where there is no time, or stamps are of another clock."""
+    return report.latency_from_stamp if state.has_time and not _foreign_clock(report) else ()
+
+
+def _foreign_clock(report: Report) -> str:
+    """Return how far stamps lie from the node's clock if that can't be latency, "" otherwise.
+
+    Answers come after images were taken, and within a day.
+    """
+    latencies = report.latency_from_stamp
+    if not latencies or 0.0 <= min(latencies) <= max(latencies) <= _MAX_LATENCY:
+        return ""
+    offset = statistics.median(latencies)
+    if min(latencies) >= 0.0 or offset > _MAX_LATENCY:
+        return f"{max(latencies) / _DAY:.0f} days behind"
+    return f"{-min(latencies):.3f} s ahead of"
 
 
 def _relative_tilt(result: SegmentationResult) -> float:
@@ -200,7 +235,7 @@ def _figures(report: Report, state: NodeState) -> Iterator[tuple[str, str]]:
     yield "input rate (Hz)", f"{report.rate(Event.RECEIVED):.1f}"
     yield "output rate (Hz)", f"{report.rate(Event.ANSWERED):.1f}"
     for origin, latencies in (
-        ("stamp", report.latency_from_stamp if state.has_time else ()),
+        ("stamp", _known_latency_from_stamp(report, state)),
         ("arrival", report.latency_from_arrival),
     ):
         for percentile in (50, 95):

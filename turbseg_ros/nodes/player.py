@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
+import statistics
 import time
+from collections import defaultdict
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
+from typing import Any
 
 from rclpy.clock import Clock as SteadyClock
 from rclpy.clock import ClockType
@@ -20,6 +24,7 @@ from std_srvs.srv import SetBool
 from turbseg_ros.bag.errors import BagError, printable
 from turbseg_ros.bag.reader import BagReader, Record, Topic
 from turbseg_ros.bag.schema import message_class
+from turbseg_ros.bag.stamps import header_stamp, restamped
 
 _CLOCK_TOPIC = "/clock"
 _CLOCK_PERIOD = 0.01  # seconds
@@ -27,6 +32,12 @@ _CLOCK_PERIOD = 0.01  # seconds
 _DEPTH = 50
 # Python answers signals between waits, so none is longer, in seconds.
 _MAX_WAIT = 0.1
+# Time from the end of a bag to its next round when no topic's messages tell any, in nanoseconds.
+_DEFAULT_GAP = 1_000_000_000
+# A camera's stamps may run by so much longer than what was recorded; by more, they have jumped.
+_MAX_STAMP_EXCESS = 1_000_000_000
+# Stamps given lately: messages that were taken at one time get the same new one.
+_STAMPS_KEPT = 1000
 
 
 class Timeline:
@@ -99,12 +110,17 @@ class PlayedMessages:
 
 
 class Player(Node):  # type: ignore[misc]  # rclpy is read as untyped
-    """Publishes the messages of a bag as they were recorded, byte by byte.
+    """Publishes the messages of a bag as they were recorded, byte by byte, but for their times.
 
-    `~/pause` (std_srvs/SetBool) stops time and lets it go on.
+    Played again, a bag goes on in time: all times in messages, and /clock, are later by the bag's
+    length and the usual step from one image to the next. `~/pause` (std_srvs/SetBool) stops time
+    and lets it go on.
 
     :param topics: those to publish, by default all whose message type is installed.
     :param clock: publish the bag's time on /clock.
+    :param stamp_now: replace the times in messages by that of publishing; messages that have the
+        same stamp, as an image and its camera_info do, get the same again. A recorded /clock, of
+        another time, is not played then.
     :param qos: gives what is offered on a topic: `lossless_qos` or `recorded_qos`.
     :raises BagError: when `topics` names one that is not in the bag, or nothing is left to play.
     """
@@ -116,18 +132,26 @@ class Player(Node):  # type: ignore[misc]  # rclpy is read as untyped
         *,
         topics: Collection[str] | None = None,
         clock: bool = False,
+        stamp_now: bool = False,
         qos: Callable[[Topic], QoSProfile] | None = None,
     ) -> None:
         super().__init__("turbseg_play")
         self._reader = reader
         self._timeline = timeline
-        self._topics = self._playable(topics, skipped={_CLOCK_TOPIC} if clock else set())
+        replaced = {_CLOCK_TOPIC} if clock or stamp_now else set()
+        self._topics = self._playable(topics, skipped=replaced)
+        self._kinds = {topic.name: message_class(topic.type_name) for topic in self._topics}
         self._publishers_of = {
             topic.name: self.create_publisher(
-                message_class(topic.type_name), topic.name, (qos or lossless_qos)(topic)
+                self._kinds[topic.name], topic.name, (qos or lossless_qos)(topic)
             )
             for topic in self._topics
         }
+        self._stamp_now = stamp_now
+        self._new_stamps: dict[int, int] = {}
+        # By how much this round's times are later than the bag's, and what a round adds to it.
+        self._shift = 0
+        self._period: int | None = None
         self._clock_source = _ClockSource(self, timeline) if clock else None
         self.create_service(SetBool, "~/pause", self._on_pause)
         self._spinner = SingleThreadedExecutor()
@@ -152,17 +176,23 @@ class Player(Node):  # type: ignore[misc]  # rclpy is read as untyped
             self._spin(left)
 
     def play(self) -> PlayedMessages:
-        """Publish the bag once, each message when its time has come.
+        """Publish the bag once, each message when its time has come; called again, once more.
 
         :raises BagError: when the bag turns out to be damaged.
         """
         count, lateness = 0, 0.0
+        extent = Extent() if self._period is None else None
         for record in self._reader.messages(self._publishers_of):
-            if not count:
-                self._start_time(record.stamp_ns)
-            lateness = max(lateness, self._spin_until(record.stamp_ns))
+            if extent is not None:
+                if not count:
+                    self._start_time(record.stamp_ns)
+                extent.add(record, self._kinds[record.topic])
+            lateness = max(lateness, self._spin_until(record.stamp_ns + self._shift))
             self._publish(record)
             count += 1
+        if extent is not None:
+            self._period = extent.period({topic.name for topic in self._topics if _leads(topic)})
+        self._shift += self._period or 0
         return PlayedMessages(count, lateness)
 
     def wait_until_received(self, timeout: float) -> bool:
@@ -220,12 +250,73 @@ class Player(Node):  # type: ignore[misc]  # rclpy is read as untyped
     def _publish(self, record: Record) -> None:
         if self._clock_source is not None:
             self._clock_source.publish()
-        self._publishers_of[record.topic].publish(record.data)
+        data = record.data
+        if self._shift or self._stamp_now:
+            data = restamped(data, self._kinds[record.topic], self._new_stamp)
+        self._publishers_of[record.topic].publish(data)
+
+    def _new_stamp(self, stamp: int) -> int:
+        if not self._stamp_now:
+            # 0 says that there is no stamp.
+            return stamp + self._shift if stamp else 0
+        key = stamp + self._shift
+        # Without a stamp nothing tells that two messages belong together.
+        if not stamp or key not in self._new_stamps:
+            self._new_stamps[key] = self.get_clock().now().nanoseconds
+            if len(self._new_stamps) > _STAMPS_KEPT:
+                del self._new_stamps[next(iter(self._new_stamps))]
+        return self._new_stamps[key]
 
     def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         self._timeline.pause(request.data)
         response.success = True
         return response
+
+
+class Extent:
+    """The times of a bag's messages, as they were recorded and as their headers say."""
+
+    def __init__(self) -> None:
+        self._recorded: defaultdict[str, list[int]] = defaultdict(list)
+        self._stamped: defaultdict[str, list[int]] = defaultdict(list)
+
+    def add(self, record: Record, kind: type[Any]) -> None:
+        """Take note of a message of that class."""
+        self._recorded[record.topic].append(record.stamp_ns)
+        if stamp := header_stamp(record.data, kind):
+            self._stamped[record.topic].append(stamp)
+
+    def period(self, leading: Collection[str]) -> int:
+        """Return the time from a message to the same one when the bag is played once more.
+
+        :param leading: topics whose usual step is kept across the end; all where none was played.
+        :return: nanoseconds, above 0.
+        """
+        if not self._recorded:
+            return _DEFAULT_GAP
+        leaders = [topic for topic in self._recorded if topic in leading] or [
+            max(self._recorded, key=lambda topic: len(self._recorded[topic]))
+        ]
+        recorded = max(_length_with_step(self._recorded[topic]) for topic in leaders)
+        everything = list(itertools.chain.from_iterable(self._recorded.values()))
+        recorded = max(recorded, max(everything) - min(everything)) or _DEFAULT_GAP
+        # The last image may have been stamped later, relative to when it came, than the first.
+        stamped = [_length_with_step(self._stamped[topic]) for topic in leaders]
+        credible = [length for length in stamped if length <= recorded + _MAX_STAMP_EXCESS]
+        return max([recorded, *credible])
+
+
+def _length_with_step(times: list[int]) -> int:
+    """Return how long a series of times is, with the usual step after its last."""
+    if len(times) < 2:
+        return 0
+    steps = [later - earlier for earlier, later in itertools.pairwise(times)]
+    return max(times) - min(times) + max(round(statistics.median(steps)), 0)
+
+
+def _leads(topic: Topic) -> bool:
+    """Whether a topic tells how a bag goes on: whether it has a camera's images."""
+    return topic.has_images and not topic.is_truth
 
 
 def _check_name(name: str) -> None:

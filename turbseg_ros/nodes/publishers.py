@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
+import traceback
+from collections.abc import Callable, Iterable
 
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks
@@ -13,24 +14,49 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from turbseg_ros.messages.results import Output
 from turbseg_ros.segmentation.frame import SegmentationResult
+from turbseg_ros.throttle import ThrottledLogger
 
 
 class ResultPublisher:
     """Publishes each result on the topics of `outputs`, below the node's name.
 
-    Reliably, which every subscription accepts, and so deep that a slow listener may catch up.
+    Reliably, which every subscription accepts, and so deep that a slow listener may catch up. An
+    output that fails is logged by its name, throttled, and `on_incomplete` is told once for each
+    result that some output failed of; the other outputs go out all the same.
     """
 
-    def __init__(self, node: Node, outputs: Iterable[Output]) -> None:
+    def __init__(
+        self,
+        node: Node,
+        outputs: Iterable[Output],
+        on_incomplete: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._throttled = ThrottledLogger(node.get_logger())
+        self._on_incomplete = on_incomplete
         self._publishers = [(output, _publisher(node, output)) for output in outputs]
 
     def publish(self, result: SegmentationResult) -> None:
         """Publish one result where someone listens; what is stateful, in any case."""
-        for output, publisher in self._publishers:
-            if output.shows_image and not result.frame.image_wanted:
-                continue
+        succeeded = [
+            self._publish(output, publisher, result)
+            for output, publisher in self._publishers
+            if result.frame.image_wanted or not output.shows_image
+        ]
+        if not all(succeeded):
+            self._on_incomplete()
+
+    def _publish(self, output: Output, publisher: Publisher, result: SegmentationResult) -> bool:
+        """Publish a result on one topic where it is asked for; return whether that went well."""
+        try:
             if output.stateful or publisher.get_subscription_count():
                 publisher.publish(output.build(result))
+        except Exception:
+            # Whatever it is, the other outputs may be sound.
+            self._throttled.error(
+                output.name, f"output {output.name} failed: {traceback.format_exc()}"
+            )
+            return False
+        return True
 
     @property
     def image_wanted(self) -> bool:

@@ -16,13 +16,20 @@ from std_srvs.srv import SetBool, Trigger
 from turbseg_ros.factory import motion_segmenter
 from turbseg_ros.messages.images import frame_from_serialised
 from turbseg_ros.messages.results import CentroidMarkers, UnitDepthPlane, outputs, views
-from turbseg_ros.nodes.diagnostics import Event, NodeState, Statistics, status_message
+from turbseg_ros.nodes.diagnostics import Event, NodeState, Report, Statistics, status_message
+from turbseg_ros.nodes.operator_log import (
+    InputWatch,
+    ObjectLog,
+    first_image_text,
+    mismatch_text,
+    missing_image_text,
+)
 from turbseg_ros.nodes.parameters import ParameterHandler
 from turbseg_ros.nodes.publishers import ResultPublisher
 from turbseg_ros.nodes.subscription import MatchingSubscription
 from turbseg_ros.nodes.worker import SegmentationWorker
 from turbseg_ros.parameters import ParameterError, Parameters
-from turbseg_ros.segmentation.frame import Frame
+from turbseg_ros.segmentation.frame import Frame, SegmentationResult
 
 _DIAGNOSTICS_PERIOD = 1.0
 # A camera that offers less than is asked for goes unheard until its offer is looked at.
@@ -60,21 +67,28 @@ class TurbsegNode(Node):  # type: ignore[misc]  # rclpy is read as untyped
         self._statistics = Statistics()
         self._markers = CentroidMarkers()
         self._results = ResultPublisher(
-            self, (*outputs(parameters.max_objects, self._markers), *views())
+            self,
+            (*outputs(parameters.max_objects, self._markers), *views()),
+            on_incomplete=lambda: self._statistics.count(Event.INCOMPLETE),
         )
+        self._objects = ObjectLog.on(
+            self.get_logger(), lambda: self._parameter_handler.current.tracking.patience
+        )
+        self._input_watch = InputWatch(self.get_logger())
+        self._awaits_first_image = True
         self._segmenter = motion_segmenter(parameters)
         self._worker = SegmentationWorker(
             self._segmenter,
             convert=self._frame,
-            publish=self._results.publish,
+            publish=self._publish,
             now=lambda: self.get_clock().now().nanoseconds,
             statistics=self._statistics,
             logger=self.get_logger(),
             queue_size=parameters.queue_size,
         )
         self._images: MatchingSubscription | None = self._subscribe()
-        self.create_subscription(
-            CameraInfo, "camera_info", self._on_camera_info, qos_profile_sensor_data
+        self._camera_info = self.create_subscription(
+            CameraInfo, self._camera_info_topic(), self._on_camera_info, qos_profile_sensor_data
         )
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(SetBool, "~/enable", self._on_enable)
@@ -87,6 +101,7 @@ class TurbsegNode(Node):  # type: ignore[misc]  # rclpy is read as untyped
             _CLOCK_JUMP, post_callback=self._on_clock_jump
         )
         self._worker.start()
+        self._tell_what_is_heard(self._images)
 
     def destroy_node(self) -> None:
         """Answer the frames at hand, then take the node out of the graph."""
@@ -115,8 +130,36 @@ class TurbsegNode(Node):  # type: ignore[misc]  # rclpy is read as untyped
             on_lost=lambda count: self._statistics.count(Event.LOST, count),
         )
 
+    def _camera_info_topic(self) -> str:
+        """Return the topic beside the images', as image_transport does, unless it is remapped.
+
+        A rule that names the topic beside the images remaps it like any other.
+        """
+        remapped = self.resolve_topic_name("camera_info")
+        if remapped != self.resolve_topic_name("camera_info", only_expand=True):
+            return str(remapped)
+        namespace, _, _ = self.resolve_topic_name("image_raw").rpartition("/")
+        return f"{namespace}/camera_info"
+
+    def _tell_what_is_heard(self, images: MatchingSubscription) -> None:
+        latency = self._parameter_handler.current.latency
+        self.get_logger().info(
+            f"listening to {images.topic} ({images.type_name}), {images.qos}; camera_info on "
+            f"{self._camera_info.topic_name}; latency mode {latency.mode}: results come "
+            f"{self._segmenter.look_ahead} frames later"
+        )
+
+    def _publish(self, result: SegmentationResult) -> None:
+        self._results.publish(result)
+        self._objects.add(result)
+
     def _frame(self, serialised: memoryview) -> Frame:
         frame = frame_from_serialised(serialised, self._image_type)
+        if self._awaits_first_image:
+            self._awaits_first_image = False
+            self.get_logger().info(
+                first_image_text(serialised, frame, self._image_type is CompressedImage)
+            )
         return dataclasses.replace(frame, image_wanted=self._results.image_wanted)
 
     def _on_parameters(self, before: Parameters, after: Parameters) -> None:
@@ -141,11 +184,16 @@ class TurbsegNode(Node):  # type: ignore[misc]  # rclpy is read as untyped
 
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         if request.data and self._images is None:
+            self._statistics.expect_images()
+            self._awaits_first_image = True
             self._images = self._subscribe()
+            self.get_logger().info("enabled")
+            self._tell_what_is_heard(self._images)
         elif not request.data and self._images is not None:
             # Nothing is left to receive, so a disabled node costs no network either.
             self._images.destroy()
             self._images = None
+            self.get_logger().info("disabled: no image is heard until ~/enable is called again")
         response.success = True
         response.message = "enabled" if request.data else "disabled"
         return response
@@ -162,10 +210,35 @@ class TurbsegNode(Node):  # type: ignore[misc]  # rclpy is read as untyped
     def _publish_diagnostics(self) -> None:
         message = DiagnosticArray()
         message.header.stamp = self.get_clock().now().to_msg()
-        message.status = [
-            status_message(self.get_fully_qualified_name(), self._statistics.take(), self._state())
-        ]
+        report = self._statistics.take()
+        message.status = [status_message(self.get_fully_qualified_name(), report, self._state())]
         self._diagnostics.publish(message)
+        self._watch_input(report)
+
+    def _watch_input(self, report: Report) -> None:
+        images = self._images
+        if images is not None:
+            self._input_watch.check(
+                images.topic,
+                report.silence,
+                self._worker.patience,
+                report.totals[Event.RECEIVED],
+                lambda: self._why_silent(images),
+            )
+
+    def _why_silent(self, images: MatchingSubscription) -> str:
+        own = dict(
+            self.get_publisher_names_and_types_by_node(self.get_name(), self.get_namespace())
+        )
+        published = {
+            topic: types
+            for topic, types in self.get_topic_names_and_types()
+            if topic not in own and self.count_publishers(topic)
+        }
+        # The graph's types of a topic are those of its subscribers, too.
+        published[images.topic] = sorted(set(images.published_types))
+        reliability = images.reliability.name.lower()
+        return missing_image_text(images.topic, images.type_name, reliability, published)
 
     def _state(self) -> NodeState:
         images, parameters = self._images, self._parameter_handler.current
@@ -173,6 +246,11 @@ class TurbsegNode(Node):  # type: ignore[misc]  # rclpy is read as untyped
             topic=images.topic if images else "",
             enabled=images is not None,
             publishers=images.publisher_count if images else 0,
+            mismatch=(
+                mismatch_text(images.topic, images.type_name, sorted(set(images.published_types)))
+                if images
+                else ""
+            ),
             reliability=images.reliability.name.lower() if images else "",
             patience=self._worker.patience,
             limits=parameters.diagnostics,

@@ -70,6 +70,7 @@ class MatchingSubscription:
         on_lost: Callable[[int], None],
     ) -> None:
         self.topic = node.resolve_topic_name(topic)
+        self.type_name = f"{message_type.__module__.partition('.')[0]}/msg/{message_type.__name__}"
         self._node = node
         self._message_type = message_type
         self._callback = callback
@@ -91,9 +92,23 @@ class MatchingSubscription:
         return self._subscription.qos_profile.reliability
 
     @property
+    def qos(self) -> str:
+        """What is asked of the publishers, for people."""
+        profile = self._subscription.qos_profile
+        matching = self._forced is None and not self._overridden
+        follows = ", or less where publishers offer less" if matching else ""
+        return f"QoS {profile.reliability.name.lower()}{follows}, depth {profile.depth}"
+
+    @property
     def publisher_count(self) -> int:
-        """Publishers of the topic, heard or not."""
-        return int(self._node.count_publishers(self.topic))
+        """Publishers of the topic, heard or not; those of other message types don't count."""
+        return self.published_types.count(self.type_name)
+
+    @property
+    def published_types(self) -> list[str]:
+        """The message type of each of the topic's publishers."""
+        publishers = self._node.get_publishers_info_by_topic(self.topic)
+        return [publisher.topic_type for publisher in publishers]
 
     def match(self) -> None:
         """Subscribe anew if the publishers offer another reliability than the one in force.

@@ -32,8 +32,11 @@ class LiveSegmenter(Protocol):
         :param waiting: frames that wait to be pushed after it.
         """
 
-    def flush(self, waiting: int = 0) -> list[SegmentationResult]:
-        """Return the results of all frames that still wait for later ones."""
+    def flush(self, waiting: Callable[[], int]) -> list[SegmentationResult]:
+        """Return the results of all frames that still wait for later ones.
+
+        :param waiting: tells how many frames wait to be pushed by then.
+        """
 
     def reset(self) -> None:
         """Forget all frames and tracks; ids go on growing."""
@@ -254,10 +257,8 @@ class SegmentationWorker:
         self._flush()
 
     def _flush(self) -> None:
-        self._answer(
-            functools.partial(self._segmenter.flush, waiting=self.waiting),
-            "the last images before a pause",
-        )
+        flush = functools.partial(self._segmenter.flush, lambda: self.waiting)
+        self._answer(flush, "the last images before a pause")
         if self._unanswered:
             self._recover("images were left without a result")
 

@@ -109,25 +109,29 @@ class MotionSegmenter:
         load = Load.of(waiting, self._parameters.latency)
         results = []
         if self._stream is not None and not self._stream.takes(frame):
-            results = self.flush(waiting)
+            results = self.flush(lambda: waiting)
             self.reset()
-        results += self._take_in(load)
+        results += self._take_in(lambda: load)
         stream = self._stream = self._stream or self._begin(frame)
         stream.prepare(frame)
         if self._parameters.is_causal:
-            results += self._take_in(load)
+            results += self._take_in(lambda: load)
         return results + (self._stream or stream).advance(load)
 
-    def flush(self, waiting: int = 0) -> list[SegmentationResult]:
+    def flush(self, waiting: Callable[[], int] = lambda: 0) -> list[SegmentationResult]:
         """Return the results of all frames that have none yet; `reset` begins another stream.
 
-        :param waiting: frames of another stream that wait meanwhile; see `push`.
+        :param waiting: tells how many frames wait meanwhile to be pushed afterwards; asked before
+            each frame, which is segmented the sooner for it as in `push`.
         """
-        load = Load.of(waiting, self._parameters.latency)
+
+        def load() -> Load:
+            return Load.of(waiting(), self._parameters.latency)
+
         results = self._take_in(load)
         return results if self._stream is None else results + self._stream.finish(load)
 
-    def _take_in(self, load: Load) -> list[SegmentationResult]:
+    def _take_in(self, load: Callable[[], Load]) -> list[SegmentationResult]:
         """Let the frame that was prepared join the others; after a cut, give what was before."""
         if self._stream is None:
             return []
@@ -209,10 +213,10 @@ class _Stream:
             self._segment(index, load)
         return self._results(self._delay)
 
-    def finish(self, load: Load) -> list[SegmentationResult]:
-        """Segment all that is left, as the load permits; return all results that are due."""
+    def finish(self, load: Callable[[], Load]) -> list[SegmentationResult]:
+        """Segment all that is left, as the load permits by then; return all their results."""
         while (index := self._pipeline.window.pop_ready(ended=True)) is not None:
-            self._segment(index, load)
+            self._segment(index, load())
         self._tracker.settle()
         return self._results(0)
 

@@ -1,0 +1,133 @@
+"""What a person reads in the log of the node."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from turbseg_ros.nodes.operator_log import (
+    COMPRESSED_TYPE,
+    IMAGE_TYPE,
+    InputWatch,
+    ObjectLog,
+    mismatch_text,
+    missing_image_text,
+)
+from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResult
+from turbseg_ros.throttle import ThrottledLogger
+
+PERIOD = 100_000_000
+
+
+class Log:
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+
+    def info(self, text: str) -> None:
+        self.lines.append(text)
+
+    warning = info
+
+
+class Clock:
+    now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def result(number: int, *ids: int) -> SegmentationResult:
+    objects = [MovingObject(i, i, (10.0 * i, 5.0), (1.0, 0.0), 20, (0, 0, 5, 4)) for i in ids]
+    frame = Frame(number * PERIOD, np.zeros((8, 9), np.uint8))
+    labels = np.zeros((8, 9), np.uint16)
+    return SegmentationResult(frame, labels, tuple(objects), np.zeros((2, 2)), 0.1, "affine")
+
+
+def test_objects_that_appear_and_end_are_told_once() -> None:
+    log = Log()
+    objects = ObjectLog(ThrottledLogger(log, period=0.0), patience=lambda: 3)
+    # Object 2 is hidden for as long as it may be.
+    for number, ids in enumerate(
+        [(), (2,), (2,), (), (), (), (2,), (2, 3), (3,), (3,), (3,), (3,)]
+    ):
+        objects.add(result(number, *ids))
+    assert log.lines == [
+        "object 2 appeared at (20, 5), 5x4 px",
+        "object 3 appeared at (30, 5), 5x4 px",
+        "object 2 ended, seen for 0.6 s",
+    ]
+
+
+def test_many_objects_are_a_few_lines_and_a_count() -> None:
+    log, clock = Log(), Clock()
+    throttled = ThrottledLogger(log, period=10.0, clock=clock, burst=5)
+    objects = ObjectLog(throttled, patience=lambda: 0)
+    for number in range(40):
+        clock.now = 0.1 * number
+        objects.add(result(number, number + 1))
+    assert len(log.lines) == 5
+    clock.now = 10.5
+    objects.add(replace(result(40, 40), objects=()))
+    # One appeared in each of 40 frames, and all have ended.
+    assert log.lines[5:] in (["object 40 ended, seen for 0.0 s (74 more like it before)"],)
+
+
+def test_silence_is_told_once_and_again_when_the_reason_changes() -> None:
+    log = Log()
+    watch = InputWatch(log)
+    steps = [(1.0, "a", 0), (3.2, "a", 0), (0.1, "a", 1)]  # its first image is told elsewhere
+    steps += [(3.2, "a", 9), (4.2, "a", 9), (5.2, "b", 9), (0.1, "b", 10), (0.2, "", 11)]
+    for silence, reason, received in steps:
+        watch.check("/image_raw", silence, 1.0, received, lambda reason=reason: reason)
+    assert log.lines == [
+        "no image on /image_raw for 3 s: a",
+        "no image on /image_raw for 3 s: a",
+        "no image on /image_raw for 5 s: b",
+        "images come again on /image_raw",
+    ]
+
+
+def test_a_slow_camera_is_not_silent() -> None:
+    log = Log()
+    InputWatch(log).check("/image_raw", 8.0, 10.0, 2, lambda: "why")
+    assert log.lines == []
+
+
+@pytest.mark.parametrize(
+    ("published", "told"),
+    [
+        ({}, ["nobody publishes it, nor any other image", "ROS_DOMAIN_ID"]),
+        ({"/image_raw": ["sensor_msgs/msg/Joy"]}, ["/image_raw carries sensor_msgs/msg/Joy, not"]),
+        ({"/image_raw": [IMAGE_TYPE]}, ["published, but nothing arrives (asked for as reliable)"]),
+        (
+            {"/a/mask": [IMAGE_TYPE], "/cam/image_raw": [IMAGE_TYPE], "/imu": ["x/msg/Imu"]},
+            [
+                "nobody publishes it; image topics: "
+                f"/cam/image_raw ({IMAGE_TYPE}), /a/mask ({IMAGE_TYPE}); ",
+                "-r image_raw:=/cam/image_raw -p image_transport:=raw",
+            ],
+        ),
+        (
+            {"/cam/image_raw/compressed": [COMPRESSED_TYPE]},
+            ["-r image_raw:=/cam/image_raw -p image_transport:=compressed takes it"],
+        ),
+        ({f"/c{n}/image_raw": [IMAGE_TYPE] for n in range(20)}, [" and 12 more;"]),
+    ],
+    ids=["nothing", "other type", "mute", "elsewhere", "compressed", "many"],
+)
+def test_the_reason_names_what_to_do(published: dict[str, list[str]], told: list[str]) -> None:
+    text = missing_image_text("/image_raw", IMAGE_TYPE, "reliable", published)
+    assert all(part in text for part in told), text
+    assert "Imu" not in text
+    assert "\n" not in text
+
+
+def test_the_other_transport_is_named() -> None:
+    topic = "/cam/image_raw/compressed"
+    text = mismatch_text(topic, IMAGE_TYPE, [COMPRESSED_TYPE])
+    assert text.startswith(f"{topic} carries {COMPRESSED_TYPE}, not {IMAGE_TYPE}; take it with ")
+    assert text.endswith("-r image_raw:=/cam/image_raw -p image_transport:=compressed")
+    assert mismatch_text(topic, COMPRESSED_TYPE, [COMPRESSED_TYPE, IMAGE_TYPE]) == ""
+    assert mismatch_text(topic, IMAGE_TYPE, []) == ""

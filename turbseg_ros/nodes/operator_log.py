@@ -1,0 +1,162 @@
+"""What the log tells a person of the node's input and of what it sees, in few lines."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from turbseg_ros.messages.cdr import compressed_image_view, image_view
+from turbseg_ros.segmentation.frame import Frame, SegmentationResult
+from turbseg_ros.throttle import ThrottledLogger
+
+IMAGE_TYPE, COMPRESSED_TYPE = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
+_COMPRESSED = "/compressed"
+
+# Seconds without an image after which the log says so.
+_SILENCE = 3.0
+# Topics that are named at most.
+_MAX_TOPICS = 8
+# Lines about objects in so many seconds.
+_MAX_OBJECT_LINES, _OBJECT_PERIOD = 5, 10.0
+
+
+def first_image_text(serialised: memoryview, frame: Frame, compressed: bool) -> str:
+    """Return the line about the first image: size, encoding and frame id."""
+    height, width = frame.image.shape[:2]
+    encoding = (
+        compressed_image_view(serialised).format if compressed else image_view(serialised).encoding
+    )
+    return f"first image: {width}x{height} {encoding!r}, frame_id {frame.frame_id!r}"
+
+
+def mismatch_text(topic: str, wanted: str, carried: Sequence[str]) -> str:
+    """Return what is wrong with a topic that carries other types than the one wanted.
+
+    Empty where the wanted type is among them, or there is none. Where the other transport takes
+    them, the text says how.
+    """
+    if not carried or wanted in carried:
+        return ""
+    text = f"{topic} carries {', '.join(carried)}, not {wanted}"
+    if {*carried} & {IMAGE_TYPE, COMPRESSED_TYPE}:
+        text += f"; take it with {_arguments(topic, carried)}"
+    return text
+
+
+def missing_image_text(
+    topic: str, wanted: str, reliability: str, published: Mapping[str, Sequence[str]]
+) -> str:
+    """Return why no image may come, and where images are.
+
+    :param wanted: the type that is subscribed to.
+    :param published: types by topic, of what others publish.
+    """
+    carried = published.get(topic, ())
+    if wanted in carried:
+        reason = f"it is published, but nothing arrives (asked for as {reliability})"
+    else:
+        reason = mismatch_text(topic, wanted, carried) or "nobody publishes it"
+    images = {
+        name: types
+        for name, types in published.items()
+        if name != topic and {*types} & {IMAGE_TYPE, COMPRESSED_TYPE}
+    }
+    if not images:
+        if carried:
+            return reason
+        return f"{reason}, nor any other image: does the camera run, in this ROS_DOMAIN_ID?"
+    # A camera's own topic is most likely the one that is meant.
+    names = sorted(images, key=lambda name: (not _is_raw(name), name))
+    listed = ", ".join(f"{name} ({', '.join(images[name])})" for name in names[:_MAX_TOPICS])
+    more = f" and {len(names) - _MAX_TOPICS} more" if len(names) > _MAX_TOPICS else ""
+    first = names[0]
+    return f"{reason}; image topics: {listed}{more}; {_arguments(first, images[first])} takes it"
+
+
+def _is_raw(topic: str) -> bool:
+    return topic.removesuffix(_COMPRESSED).endswith("/image_raw")
+
+
+def _arguments(topic: str, types: Sequence[str]) -> str:
+    """Return the arguments with which the node takes the images of a topic."""
+    transport = "raw" if IMAGE_TYPE in types else "compressed"
+    base = topic if transport == "raw" else topic.removesuffix(_COMPRESSED)
+    return f"-r image_raw:={base} -p image_transport:={transport}"
+
+
+class InputWatch:
+    """Warns once when no image comes, again when there is something else to say of it."""
+
+    def __init__(self, logger: Any) -> None:
+        self._logger = logger
+        self._said = ""
+        self._received = 0
+
+    def check(
+        self,
+        topic: str,
+        silence: float,
+        patience: float,
+        received: int,
+        explain: Callable[[], str],
+    ) -> None:
+        """Take note of how long, in seconds, no image has come; to be called regularly.
+
+        :param patience: seconds that images may be apart.
+        :param received: images that have come so far.
+        :param explain: returns why none may come; called only while none does.
+        """
+        if silence < max(_SILENCE, patience):
+            # The first image is told of elsewhere.
+            if self._said and self._received:
+                self._logger.info(f"images come again on {topic}")
+            self._said, self._received = "", received
+            return
+        reason = explain()
+        if reason != self._said:
+            self._logger.warning(f"no image on {topic} for {silence:.0f} s: {reason}")
+        self._said = reason
+
+
+class ObjectLog:
+    """Tells the log which objects appear and end.
+
+    At most a few lines in some seconds; what is left out is counted. An object that is hidden for
+    a while neither ends nor appears anew: it has ended when it has not been seen for longer than
+    objects live unseen.
+
+    :param patience: returns for how many frames an object lives unseen.
+    """
+
+    def __init__(self, logger: ThrottledLogger, patience: Callable[[], int]) -> None:
+        self._logger = logger
+        self._patience = patience
+        self._frames = 0
+        # When each object was seen first (stamp, ns) and last (stamp; number of the frame).
+        self._seen: dict[int, tuple[int, int, int]] = {}
+
+    @classmethod
+    def on(cls, logger: Any, patience: Callable[[], int]) -> ObjectLog:
+        """Make one that writes to a ROS logger."""
+        throttled = ThrottledLogger(logger, period=_OBJECT_PERIOD, burst=_MAX_OBJECT_LINES)
+        return cls(throttled, patience)
+
+    def add(self, result: SegmentationResult) -> None:
+        """Take note of the next frame's objects."""
+        self._frames += 1
+        stamp = result.frame.stamp
+        for found in result.objects:
+            if found.id not in self._seen:
+                x, y = found.centroid
+                width, height = found.box[2:]
+                self._say(f"object {found.id} appeared at ({x:.0f}, {y:.0f}), {width}x{height} px")
+            first, *_ = self._seen.get(found.id, (stamp,))
+            self._seen[found.id] = (first, stamp, self._frames)
+        for object_id, (first, last, frame) in list(self._seen.items()):
+            if self._frames - frame > self._patience():
+                del self._seen[object_id]
+                self._say(f"object {object_id} ended, seen for {(last - first) / 1e9:.1f} s")
+        self._logger.catch_up("objects", "more objects appeared or ended")
+
+    def _say(self, text: str) -> None:
+        self._logger.info("objects", text)
