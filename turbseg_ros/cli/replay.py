@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import argparse
 import functools
 from collections.abc import Sequence
-from pathlib import Path
 
 from turbseg_ros.bag.errors import BagError
 from turbseg_ros.bag.frames import BagFrames, ahead
@@ -14,7 +12,8 @@ from turbseg_ros.bag.topics import RESULT_NAMESPACE
 from turbseg_ros.bag.writer import BagWriter
 from turbseg_ros.cli.errors import executable
 from turbseg_ros.cli.memory import keep_large_buffers
-from turbseg_ros.cli.options import add_parameter_options, parameters_from, with_progress
+from turbseg_ros.cli.options import parameters_from, with_progress
+from turbseg_ros.cli.parsers.replay import build_parser
 from turbseg_ros.factory import clip_segmenter
 from turbseg_ros.messages.results import CentroidMarkers, Output, outputs, slot_output
 from turbseg_ros.overlay import OverlayStrip, write_picture
@@ -49,7 +48,7 @@ class ResultWriter:
 @executable("turbseg_replay")
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the executable; return its exit status."""
-    options = _parser().parse_args(arguments)
+    options = build_parser().parse_args(arguments)
     keep_large_buffers()
     parameters = parameters_from(options)
     reader = BagReader(options.bag)
@@ -76,25 +75,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
     lost = f", {frames.lost} images lost with what is damaged" if frames.lost else ""
     print(f"{options.out}: {count} results, {frames.skipped} images skipped{lost}")
     return 0
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="turbseg_replay",
-        description="Segment every frame of a bag and write the node's topics into another bag.",
-    )
-    parser.add_argument("bag", type=Path, metavar="BAG", help="rosbag2 directory or MCAP file")
-    parser.add_argument(
-        "-o", "--out", type=Path, required=True, metavar="OUT", help="bag to be written"
-    )
-    parser.add_argument(
-        "--image-topic", metavar="T", help="images to segment, where the bag has several topics"
-    )
-    parser.add_argument(
-        "--overlay",
-        type=Path,
-        metavar="PICTURE",
-        help="also draw nine frames with what was found, as PNG or .jpg",
-    )
-    add_parameter_options(parser)
-    return parser

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -15,7 +13,8 @@ import numpy.typing as npt
 from turbseg_ros.bag.frames import BagFrames
 from turbseg_ros.bag.reader import BagReader
 from turbseg_ros.cli.errors import UsageError, executable
-from turbseg_ros.cli.options import add_parameter_options, parameters_from, with_progress
+from turbseg_ros.cli.options import parameters_from, with_progress
+from turbseg_ros.cli.parsers.stages import build_parser
 from turbseg_ros.factory import flow_backend, refiner
 from turbseg_ros.overlay import (
     WHITE,
@@ -66,7 +65,7 @@ class WatchedSegmenter(MotionSegmenter):
 @executable("stages")
 def main(arguments: Sequence[str] | None = None) -> int:
     """Draw the picture; return the exit status."""
-    options = _parser().parse_args(arguments)
+    options = build_parser().parse_args(arguments)
     parameters = parameters_from(options)
     segmenter = WatchedSegmenter(parameters, refiner(parameters), flow_backend(parameters))
     reader = BagReader(options.bag)
@@ -135,21 +134,3 @@ def _outlined(result: SegmentationResult, stages: Stages) -> Canvas:
         scaled = [np.rint((contour + 0.5) * scale - 0.5).astype(np.int32) for contour in contours]
         cv2.polylines(canvas.image, scaled, True, WHITE, 1, cv2.LINE_AA)
     return canvas
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="stages", description="Draw what each stage of the method makes of one frame."
-    )
-    parser.add_argument("bag", type=Path, metavar="BAG", help="rosbag2 directory or MCAP file")
-    parser.add_argument(
-        "-o", "--out", type=Path, required=True, metavar="PICTURE", help="PNG or JPEG to write"
-    )
-    parser.add_argument(
-        "--frame", type=int, default=30, metavar="N", help="number of the frame (%(default)s)"
-    )
-    parser.add_argument(
-        "--image-topic", metavar="T", help="images to segment, where the bag has several topics"
-    )
-    add_parameter_options(parser)
-    return parser
