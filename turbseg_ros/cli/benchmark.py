@@ -19,6 +19,7 @@ from turbseg_ros.cli.options import (
     parameters_from,
     with_progress,
 )
+from turbseg_ros.cli.outputs import check_file
 from turbseg_ros.cli.parsers.benchmark import build_parser
 from turbseg_ros.evaluation.baselines import (
     BackgroundSubtraction,
@@ -58,7 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = build_parser().parse_args(arguments)
     parameters = parameters_from(options)
     if options.json is not None:
-        options.json.parent.mkdir(parents=True, exist_ok=True)
+        check_file(options.json)
     if not 0 <= options.objects <= _MAX_OBJECTS:
         raise UsageError(f"--objects {options.objects}: give 0 to {_MAX_OBJECTS}")
     methods = _methods(options.baselines, parameters)

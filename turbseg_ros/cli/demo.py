@@ -26,6 +26,7 @@ from turbseg_ros.bag.reader import BagReader
 from turbseg_ros.bag.topics import LABELS_TOPIC, RESULT_NAMESPACE, TRUTH_TOPIC
 from turbseg_ros.bag.writer import BagWriter
 from turbseg_ros.cli.errors import UsageError, executable
+from turbseg_ros.cli.outputs import check_folder
 from turbseg_ros.cli.parsers.demo import build_parser
 from turbseg_ros.cli.processes import (
     ChildProcess,
@@ -84,6 +85,7 @@ class _Products:
 
         :raises UsageError: when something else lies where the bag shall be.
         """
+        check_folder(self.directory)
         if self.bag.exists() and not (self.bag / "metadata.yaml").is_file():
             raise UsageError(f"{self.bag} is no bag; remove it or choose another --out")
         for directory in (self.bag, self.logs):

@@ -20,6 +20,7 @@ from turbseg_ros.cli.options import (
     parameters_from,
     with_progress,
 )
+from turbseg_ros.cli.outputs import check_file, check_folder
 from turbseg_ros.cli.parsers.evaluate import build_parser
 from turbseg_ros.evaluation.baselines import (
     TurbsegMethod,
@@ -47,7 +48,7 @@ from turbseg_ros.evaluation.experiments import (
     tilt_curve,
 )
 from turbseg_ros.evaluation.labels import LabelsByStamp, read_labels
-from turbseg_ros.evaluation.report import Report, ReportError, ReportWriter
+from turbseg_ros.evaluation.report import PAGE, Report, ReportError, ReportWriter
 from turbseg_ros.evaluation.run import Run, RunResult, Source
 from turbseg_ros.evaluation.scores import Table, write_json
 from turbseg_ros.parameters import Parameters
@@ -74,19 +75,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _check(options: argparse.Namespace) -> None:
     if options.predictions is not None:
         if len(options.bags) > 1:
-            raise UsageError("--predictions are those of one BAG; return one")
+            raise UsageError("--predictions are those of one BAG; give one")
         for name in (*_EXPERIMENTS, "report", "curves"):
             if getattr(options, name):
                 option = name.replace("_", "-")
                 raise UsageError(f"--{option} segments anew; leave out --predictions")
     if len(set(options.bags)) < len(options.bags):
         raise UsageError("a BAG is named twice")
-    if options.json is not None:
-        options.json.parent.mkdir(parents=True, exist_ok=True)
     if options.curves is not None and not (options.tilt_curve or options.shake_curve):
-        raise UsageError("--curves draws those of --tilt-curve and --shake-curve; return one")
-    for directory in filter(None, (options.report, options.curves)):
-        directory.mkdir(parents=True, exist_ok=True)
+        raise UsageError("--curves draws those of --tilt-curve and --shake-curve; give one")
+    if options.json is not None:
+        check_file(options.json)
+    if options.report is not None:
+        check_file(options.report / PAGE)
+    if options.curves is not None:
+        check_folder(options.curves)
 
 
 def _score_recorded(options: argparse.Namespace) -> int:

@@ -16,6 +16,7 @@ from turbseg_ros.bag.topics import TRUTH_TOPIC
 from turbseg_ros.bag.writer import BagWriter
 from turbseg_ros.cli.errors import UsageError, executable
 from turbseg_ros.cli.options import with_progress
+from turbseg_ros.cli.outputs import check_new
 from turbseg_ros.cli.parsers.import_ import FOLDER_RATE, build_parser
 from turbseg_ros.datasets.clip import (
     Clip,
@@ -40,6 +41,7 @@ _START_NS = 1_000_000_000
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the executable; return its exit status."""
     options = build_parser().parse_args(arguments)
+    check_new(options.out)
     clip = find_clip(options.source, options.masks)
     rate = options.rate or _own_rate(clip, options.source)
     with BagWriter(options.out) as bag:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import functools
 from collections.abc import Sequence
 
@@ -10,9 +11,10 @@ from turbseg_ros.bag.frames import BagFrames, ahead
 from turbseg_ros.bag.reader import BagReader
 from turbseg_ros.bag.topics import RESULT_NAMESPACE
 from turbseg_ros.bag.writer import BagWriter
-from turbseg_ros.cli.errors import executable
+from turbseg_ros.cli.errors import UsageError, executable
 from turbseg_ros.cli.memory import keep_large_buffers
 from turbseg_ros.cli.options import parameters_from, with_progress
+from turbseg_ros.cli.outputs import check_new, check_picture
 from turbseg_ros.cli.parsers.replay import build_parser
 from turbseg_ros.factory import clip_segmenter
 from turbseg_ros.messages.results import CentroidMarkers, Output, outputs, slot_output
@@ -53,8 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parameters = parameters_from(options)
     reader = BagReader(options.bag)
     frames = BagFrames(reader, reader.find_image_topic(options.image_topic))
-    if options.overlay is not None:
-        options.overlay.parent.mkdir(parents=True, exist_ok=True)
+    _check_outputs(options)
     segmenter = clip_segmenter(
         parameters, functools.partial(with_progress, title="refining", unit="epoch")
     )
@@ -75,3 +76,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     lost = f", {frames.lost} images lost with what is damaged" if frames.lost else ""
     print(f"{options.out}: {count} results, {frames.skipped} images skipped{lost}")
     return 0
+
+
+def _check_outputs(options: argparse.Namespace) -> None:
+    check_new(options.out)
+    if options.overlay is not None:
+        if options.out.absolute() in options.overlay.absolute().parents:
+            raise UsageError(
+                f"{options.overlay} lies in the bag to be written; name another place"
+            )
+        check_picture(options.overlay)

@@ -13,6 +13,7 @@ from turbseg_ros.bag.topics import IMAGE_TOPIC, TRUTH_TOPIC
 from turbseg_ros.bag.writer import BagWriter
 from turbseg_ros.cli.errors import UsageError, executable
 from turbseg_ros.cli.options import with_progress
+from turbseg_ros.cli.outputs import check_new
 from turbseg_ros.cli.parsers.simulate import build_parser
 from turbseg_ros.evaluation.labels import LabelsByStamp, read_labels
 from turbseg_ros.messages.images import (
@@ -40,6 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     _check(options)
     if options.warp is not None:
+        check_new(options.out)
         _warp_bag(options.warp, options.image_topic, options.tilt, options.seed, options.out)
         return 0
     for chosen, path in _chosen_scenes(options.scene, options.out):
@@ -79,8 +81,7 @@ def _chosen_scenes(name: str, out: Path) -> list[tuple[Scene, Path]]:
         except UnknownSceneError as error:
             raise UsageError(str(error)) from error
     for _, path in chosen:
-        if path.exists():
-            raise UsageError(f"{path} exists already; remove it or choose another output")
+        check_new(path)
     return chosen
 
 

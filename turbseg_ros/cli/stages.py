@@ -14,6 +14,7 @@ from turbseg_ros.bag.frames import BagFrames
 from turbseg_ros.bag.reader import BagReader
 from turbseg_ros.cli.errors import UsageError, executable
 from turbseg_ros.cli.options import parameters_from, with_progress
+from turbseg_ros.cli.outputs import check_picture
 from turbseg_ros.cli.parsers.stages import build_parser
 from turbseg_ros.factory import flow_backend, refiner
 from turbseg_ros.overlay import (
@@ -66,6 +67,7 @@ class WatchedSegmenter(MotionSegmenter):
 def main(arguments: Sequence[str] | None = None) -> int:
     """Draw the picture; return the exit status."""
     options = build_parser().parse_args(arguments)
+    check_picture(options.out)
     parameters = parameters_from(options)
     segmenter = WatchedSegmenter(parameters, refiner(parameters), flow_backend(parameters))
     reader = BagReader(options.bag)
@@ -78,7 +80,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     (result,) = [result for result in results if result.frame.stamp == segmenter.watched_stamp]
     if segmenter.stages is None:
         raise UsageError(f"nothing to compare frame {options.frame} with")
-    options.out.parent.mkdir(parents=True, exist_ok=True)
     write_picture(options.out, grid(list(_tiles(result, segmenter.stages)), columns=3))
     return 0
 

@@ -16,6 +16,7 @@ import cv2
 
 from turbseg_ros.cli.errors import UsageError, executable
 from turbseg_ros.cli.options import with_progress
+from turbseg_ros.cli.outputs import check_new
 from turbseg_ros.cli.parsers.train import build_parser
 from turbseg_ros.learning.examples import Examples, examples_from, rendered_clip
 from turbseg_ros.learning.torch_import import require_torch
@@ -31,8 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the executable; return its exit status."""
     options = build_parser().parse_args(arguments)
     require_torch("turbseg_train")
-    if options.out.exists():
-        raise UsageError(f"{options.out} exists already; remove it or choose another output")
+    check_new(options.out)
     if options.scenes < 2:
         raise UsageError("--scenes 1: give 2 or more, for some are held out")
     options.out.parent.mkdir(parents=True, exist_ok=True)

@@ -25,7 +25,8 @@ def build_parser() -> argparse.ArgumentParser:
         "--overlay",
         type=Path,
         metavar="PICTURE",
-        help="also draw nine frames with what was found, as PNG or .jpg",
+        help="also draw nine frames with what was found, in the format that the name ends in: "
+        ".png, .jpg, .webp, .bmp or .tif",
     )
     add_parameter_options(parser)
     return parser

@@ -15,7 +15,12 @@ def build_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("bag", type=Path, metavar="BAG", help="rosbag2 directory or MCAP file")
     parser.add_argument(
-        "-o", "--out", type=Path, required=True, metavar="PICTURE", help="PNG or JPEG to write"
+        "-o",
+        "--out",
+        type=Path,
+        required=True,
+        metavar="PICTURE",
+        help="picture to write: .png, .jpg, .webp, .bmp, .tif",
     )
     parser.add_argument(
         "--frame", type=int, default=30, metavar="N", help="number of the frame (%(default)s)"
