@@ -7,6 +7,7 @@ import shutil
 import subprocess
 
 import pytest
+
 from support.paths import ROOT
 
 pytestmark = pytest.mark.skipif(shutil.which("make") is None, reason="make is not installed")
