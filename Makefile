@@ -6,12 +6,17 @@ comma := ,
 # A sourced ROS 2 brings rclpy, OpenCV and NumPy of its own; elsewhere they come as wheels.
 SOURCED_ROS := $(and $(ROS_DISTRO),$(shell $(PYTHON) -c 'import rclpy' 2>/dev/null && echo yes))
 VENV_FLAGS := $(if $(SOURCED_ROS),--system-site-packages)
-EXTRAS := bags,test,lint,colcon$(if $(SOURCED_ROS),,$(comma)wheels)
+EXTRAS := bags,evaluation,cluster,test,lint,colcon$(if $(SOURCED_ROS),,$(comma)wheels)
 CONSTRAINTS := $(if $(SOURCED_ROS),,-c constraints.txt)
 
-.PHONY: venv demo test bench figures soak fuzz lint clean
+.DEFAULT_GOAL := help
+.PHONY: help venv learning demo test test-learning bench figures soak fuzz lint clean
 
-venv: .venv/complete
+help: ## what there is
+	@echo 'make TARGET, in the folder of this file; all but help and clean make .venv first:'
+	@sed -n 's/^\([a-z-]*\):[^#]*## \(.*\)/  \1: \2/p' $(MAKEFILE_LIST)
+
+venv: .venv/complete ## all that the node, the bag tools and the tests need, into .venv
 
 .venv/complete: setup.py setup.cfg pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV_FLAGS) .venv
@@ -19,25 +24,35 @@ venv: .venv/complete
 	$(BIN)/python -m pip install --quiet $(CONSTRAINTS) --no-build-isolation --editable '.[$(EXTRAS)]'
 	touch $@
 
-demo: venv
+demo: venv ## node and bag player over DDS, scored; a picture in out/demo
 	$(BIN)/python -m turbseg_ros.cli demo --out out/demo
 
-# Torch is large, and only training and RAFT need it: venv and demo do without.
+learning: .venv/learning ## torch and what else training, RAFT and refine.mode optimise need, into .venv
+
+# The Python registry has torch for x86-64 Linux with CUDA only. An index that has it without is
+# named by whoever can reach one: make test-learning TORCH_INDEX=https://download.pytorch.org/whl/cpu
+TORCH_INDEX ?=
 .venv/learning: .venv/complete
-	$(BIN)/python -m pip install --quiet $(CONSTRAINTS) --no-build-isolation --editable '.[learning]'
+	@echo 'Installing torch for $@: $(if $(TORCH_INDEX),from $(TORCH_INDEX) where that has it,with \
+	CUDA; 3.0 GB are downloaded and 5.5 GB of disk used)'
+	$(BIN)/python -m pip install --quiet $(CONSTRAINTS) $(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX)) \
+		--no-build-isolation --editable '.[learning]'
 	touch $@
 
 # Side by side: half of the tests' time they wait for processes that they start.
 JOBS ?= 2
-test: lint .venv/learning
+test: lint ## lint, types and all tests but those that need torch (JOBS=2 processes)
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile
 
+test-learning: .venv/learning ## the tests of networks, with torch (a download of 3.0 GB)
+	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile test/learning
+
 # What a frame takes, in one run with baselines and a yardstick; figures in out/benchmark.json.
-bench: venv
+bench: venv ## time a frame; figures in out/benchmark.json
 	$(BIN)/python -m turbseg_ros.cli benchmark --json out/benchmark.json
 
 # What the README shows under "How well": tables on the terminal, pictures in docs/images.
-figures: venv
+figures: venv ## the tables and pictures of the documents
 	$(BIN)/python -m turbseg_ros.cli evaluate bags/* --baselines mog2,knn,paper --report out/report
 	$(BIN)/python -m turbseg_ros.cli evaluate bags/normal bags/thermal --baselines mog2,knn,paper \
 		--tilt-curve 0,0.5,1,2 --shake-curve 0,2,4 --curves docs/images
@@ -46,14 +61,14 @@ figures: venv
 	$(BIN)/python -m turbseg_ros.cli stages bags/normal -o docs/images/stages.jpg
 
 # What takes minutes: floods, long runs, thousands of random messages.
-soak: venv
+soak: venv ## tests that take minutes each
 	FASTRTPS_DEFAULT_PROFILES_FILE=config/fastdds_large_images.xml \
 		$(BIN)/python -m pytest -m soak --timeout 3600
 
 # Coverage-guided fuzzing, so many minutes for each harness; a finding ends it and is kept.
 FUZZ_MINUTES ?= 5
 FUZZ_LIMITS = -max_total_time=$$((60 * $(FUZZ_MINUTES))) -rss_limit_mb=2048 -timeout=30
-fuzz: venv
+fuzz: venv ## coverage-guided fuzzing (FUZZ_MINUTES=5 for each harness)
 	$(BIN)/python -m pip install --quiet $(CONSTRAINTS) --no-build-isolation --editable '.[fuzz]'
 	for harness in bag_reader images; do \
 	    found=out/fuzz/$$harness; mkdir -p $$found/findings && \
@@ -61,10 +76,10 @@ fuzz: venv
 	        $$found test/fuzz/corpus/$$harness || exit 1; \
 	done
 
-lint: venv
+lint: venv ## ruff and mypy
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-clean:
+clean: ## remove .venv and all that was built
 	rm -rf .venv out build install log

@@ -1,5 +1,6 @@
 """Build of the turbseg_ros package, by pip and by colcon alike."""
 
+import ast
 from pathlib import Path
 
 from setuptools import find_packages, setup
@@ -9,17 +10,36 @@ PACKAGE = "turbseg_ros"
 EXECUTABLES = ("node", "play", "replay", "evaluate", "simulate", "train", "import", "benchmark")
 
 
+def _version() -> str:
+    """Read `__version__` without importing the package, whose needs are not there yet."""
+    module = ast.parse(Path(PACKAGE, "__init__.py").read_text(encoding="utf-8"))
+    (value,) = (
+        node.value
+        for node in module.body
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__version__"
+    )
+    return str(ast.literal_eval(value))
+
+
 def _files(folder: str) -> list[str]:
     return sorted(str(path) for path in Path(folder).iterdir() if path.is_file())
 
 
 setup(
     name=PACKAGE,
-    version="0.1.0",
+    version=_version(),
     description="Live segmentation of moving objects seen through atmospheric turbulence.",
+    long_description=Path("README.md").read_text(encoding="utf-8"),
+    long_description_content_type="text/markdown",
+    url="https://example.com/turbseg_ros",
+    project_urls={
+        "Source": "https://example.com/turbseg_ros.git",
+        "Issues": "https://example.com/turbseg_ros/issues",
+    },
     author="turbseg_ros maintainers",
+    author_email="maintainers@example.com",
     maintainer="turbseg_ros maintainers",
-    maintainer_email="maintainers@turbseg-ros.invalid",
+    maintainer_email="maintainers@example.com",
     license="Apache-2.0",
     # Said aloud, so that an editable installation is a plain path, which type checkers follow too.
     package_dir={"": "."},
@@ -57,7 +77,11 @@ setup(
             "onnx>=1.15,<2",
             "onnxscript>=0.1,<1",
         ],
-        "bags": ["mcap>=1.2.1,<2", "distributed>=2024.1", "jinja2>=3.1,<4"],
+        "bags": ["mcap>=1.2.1,<2"],
+        # Reports and curves.
+        "evaluation": ["jinja2>=3.1,<4"],
+        # Evaluation on a Dask scheduler.
+        "cluster": ["distributed>=2024.1"],
         "test": [
             "pytest>=7.4,<10",
             "pytest-timeout>=2,<3",

@@ -34,6 +34,8 @@ _PALETTE: tuple[Colour, ...] = (
     (160, 255, 220),
     (255, 135, 195),
 )
+# Formats that hold 8-bit colour. Some OpenCV does without WebP or TIFF.
+_PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
 _SHADOW: Colour = (20, 20, 20)
 WHITE: Colour = (245, 245, 245)
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
@@ -221,12 +223,28 @@ def to_bgr8(image: Image, tone: ToneMap | None = None) -> npt.NDArray[np.uint8]:
     return picture.copy() if picture is image else picture
 
 
-def write_picture(path: Path, picture: npt.NDArray[np.uint8]) -> None:
-    """Write a picture under its name when it is complete: JPEG for `.jpg`, else PNG.
+class PictureError(ValueError):
+    """A name that tells no format of pictures; the text names those there are."""
 
+
+def check_picture_name(path: Path) -> None:
+    """See that a file's name tells a format in which pictures can be written.
+
+    :raises PictureError: when it doesn't.
+    """
+    possible = [suffix for suffix in _PICTURE_SUFFIXES if cv2.haveImageWriter(f"x{suffix}")]
+    if path.suffix.lower() not in possible:
+        raise PictureError(f"{path} is no name of a picture; end it in {', '.join(possible)}")
+
+
+def write_picture(path: Path, picture: npt.NDArray[np.uint8]) -> None:
+    """Write a picture under its name, which tells the format, when it is complete.
+
+    :raises PictureError: when the name tells none that can be written.
     :raises OSError: when the file can't be written; an older one then stays as it was.
     """
-    _, encoded = cv2.imencode(".jpg" if path.suffix.lower() == ".jpg" else ".png", picture)
+    check_picture_name(path)
+    _, encoded = cv2.imencode(path.suffix.lower(), picture)
     partial = path.with_name(f".{path.name}.partial")
     try:
         partial.write_bytes(encoded.tobytes())

@@ -16,7 +16,7 @@ import os, signal, sys
 from turbseg_ros.cli import __main__ as executables
 
 name, moment = sys.argv[1:]
-sys.argv[1:] = ["--help"]
+sys.argv[1:] = []
 
 def interrupt(event, details):
     if event == "import" and details[0] == moment:

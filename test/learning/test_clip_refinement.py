@@ -10,7 +10,7 @@ from turbseg_ros.factory import clip_segmenter, motion_segmenter
 from turbseg_ros.parameters import ParameterError, Parameters
 from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResult
 
-torch = pytest.importorskip("torch", reason="torch is not installed: make test does that")
+torch = pytest.importorskip("torch", reason="torch is not installed: make test-learning")
 
 from turbseg_ros.learning.clip_refinement import (  # noqa: E402
     Clip,

@@ -14,7 +14,7 @@ from turbseg_ros.learning.torch_import import NetworkError
 from turbseg_ros.parameters import ParameterError, Parameters
 from turbseg_ros.segmentation.frame import Frame
 
-torch = pytest.importorskip("torch", reason="torch is not installed: make test does that")
+torch = pytest.importorskip("torch", reason="torch is not installed: make test-learning")
 
 from torchvision.models.optical_flow import raft_large, raft_small  # noqa: E402
 

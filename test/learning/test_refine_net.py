@@ -19,7 +19,7 @@ from turbseg_ros.learning.window_input import CHANNELS, SIDE
 from turbseg_ros.parameters import Parameters
 from turbseg_ros.segmentation.frame import Frame
 
-torch = pytest.importorskip("torch", reason="torch is not installed: make test does that")
+torch = pytest.importorskip("torch", reason="torch is not installed: make test-learning")
 
 from safetensors.torch import load_file  # noqa: E402
 

@@ -32,6 +32,10 @@ from turbseg_ros.messages.images import message_from_image
 STUB = SUPPORT / "stub_node.py"
 IMAGE = message_from_image(texture(np.random.default_rng(0), (120, 160), 0, 255), "mono8", 0)
 
+UNHEARD = "offers less than reliable"
+LENS = ("-r", "image_raw:=/lens/image_raw")
+READY = (*LENS, "-p", "qos.reliability:=best_effort")
+
 
 def stub_node(output: Path, *ros_arguments: str) -> NodeProcess:
     return NodeProcess(output, *ros_arguments, command=(sys.executable, str(STUB)))
@@ -66,29 +70,46 @@ def test_a_camera_is_heard_by_all_that_ask_for_what_it_offers(tmp_path, probe, o
         for name in nodes:
             heard[name] = probe.listen(f"/{name}/turbseg/centroids", MarkerArray)
         camera = Camera(probe, "/lens/image_raw", qos=offered, rate=30.0)
-        wait_while_sending(probe, camera, lambda: all(heard[name] for name in asked))
-        last = camera.send(IMAGE)
-        for name in asked:
-            probe.wait_for(lambda name=name: answered(heard[name])[-1] == last, "the last answer")
+        sent = send_until(probe, camera, lambda: all(heard[name] for name in asked))
+        for name in nodes.keys() - asked:
+            probe.wait_for(lambda name=name: UNHEARD in nodes[name].output, f"{name}'s warning")
         assert {name for name in nodes if heard[name]} == asked
         assert [node.stop(signal.SIGINT) for node in nodes.values()] == [0, 0, 0]
     for name, node in nodes.items():
-        assert ("offers less than reliable" in node.output) == (name not in asked)
+        assert in_order_and_among(answered(heard[name]), sent)
+        assert (UNHEARD in node.output) == (name not in asked)
 
 
-def wait_while_sending(probe, camera, condition):
-    probe.wait_for(lambda: camera.send(IMAGE) and condition(), "all that ask for it")
+def send_until(probe, camera, condition):
+    """Send images until a condition holds; return the stamps of all.
+
+    Any of them may be lost where a camera offers no more than its best.
+    """
+    sent = []
+    probe.wait_for(
+        lambda: sent.append(camera.send(IMAGE)) or condition(), "what images should bring about"
+    )
+    return sent
 
 
-def test_a_best_effort_camera_that_joins_late_costs_a_second_of_frames_at_most(tmp_path, probe):
-    with stub_node(tmp_path / "output") as node:
-        centroids = probe.listen("/turbseg/centroids", MarkerArray)
-        camera = Camera(probe, qos=BEST_EFFORT, rate=30.0, heard=False)
-        stamps = [camera.send(IMAGE) for _ in range(90)]
-        probe.wait_for(lambda: answered(centroids)[-1:] == stamps[-1:], "the last answer")
-        assert node.stop(signal.SIGINT) == 0
-    assert answered(centroids)[0] - stamps[0] <= 30 * PERIOD
-    assert answered(centroids) == stamps[-len(centroids) :]
+def in_order_and_among(answers, sent):
+    return answers == sorted(set(answers) & set(sent))
+
+
+def test_a_best_effort_camera_that_joins_late_is_heard_soon(tmp_path, probe):
+    with (
+        stub_node(tmp_path / "ready", "-r", "__ns:=/ready", *READY) as ready,
+        stub_node(tmp_path / "auto", "-r", "__ns:=/auto", *LENS) as auto,
+    ):
+        first = probe.listen("/ready/turbseg/centroids", MarkerArray)
+        centroids = probe.listen("/auto/turbseg/centroids", MarkerArray)
+        camera = Camera(probe, "/lens/image_raw", qos=BEST_EFFORT, rate=30.0, heard=False)
+        sent = send_until(probe, camera, lambda: first and len(centroids) >= 30)
+        assert [node.stop(signal.SIGINT) for node in (ready, auto)] == [0, 0]
+    # What finding one another takes, both wait for; the change itself takes a fifth of a second
+    # by design, and ten times as long on a busy machine.
+    assert answered(centroids)[0] - answered(first)[0] <= 2 * SECOND
+    assert in_order_and_among(answered(centroids), sent)
 
 
 def test_a_camera_that_goes_silent_is_reported_and_heard_when_it_is_back(tmp_path, probe):
@@ -96,7 +117,7 @@ def test_a_camera_that_goes_silent_is_reported_and_heard_when_it_is_back(tmp_pat
         centroids = probe.listen("/turbseg/centroids", MarkerArray)
         diagnostics = probe.listen("/diagnostics", DiagnosticArray)
         camera = Camera(probe, qos=BEST_EFFORT, rate=30.0)
-        wait_while_sending(probe, camera, lambda: centroids)
+        send_until(probe, camera, lambda: centroids)
         camera.close()
         probe.wait_for(lambda: told(diagnostics, "no image on /image_raw for"), "an error")
         assert diagnostics[-1].status[0].level == DiagnosticStatus.ERROR
@@ -104,9 +125,8 @@ def test_a_camera_that_goes_silent_is_reported_and_heard_when_it_is_back(tmp_pat
         # It counts its time from its start, as many cameras do.
         camera = Camera(probe, qos=BEST_EFFORT, rate=30.0)
         camera.stamp = 5 * SECOND
-        first = camera.send(IMAGE)
-        wait_while_sending(probe, camera, lambda: told(diagnostics, "stamps are"))
-        assert answered(centroids)[0] == first
+        sent = send_until(probe, camera, lambda: centroids and told(diagnostics, "stamps are"))
+        assert in_order_and_among(answered(centroids), sent)
         assert node.stop(signal.SIGINT) == 0
     assert node.output.count("new window: time jumped back by") == 1
 
@@ -150,8 +170,8 @@ def test_the_log_tells_of_start_first_image_enable_and_reset(tmp_path, probe):
         assert "/told_lens/image_raw (sensor_msgs/msg/Image), QoS reliable, or less" in begun
         assert "latency mode centred" in begun
         camera = Camera(probe, "/told_lens/image_raw", rate=30.0)
-        wait_while_sending(probe, camera, lambda: "first image: 160x120 'mono8'" in node.output)
-        wait_while_sending(probe, camera, lambda: "object 1 appeared at (" in node.output)
+        send_until(probe, camera, lambda: "first image: 160x120 'mono8'" in node.output)
+        send_until(probe, camera, lambda: "object 1 appeared at (" in node.output)
         for wanted, told in ((False, "disabled"), (True, "enabled")):
             probe.call("/told/turbseg/enable", SetBool, SetBool.Request(data=wanted))
             probe.wait_for(lambda told=told: lines(node, f": {told}"), told)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import subprocess
 import sys
@@ -91,6 +92,7 @@ def test_too_many_images_cost_the_oldest_and_no_memory(tmp_path, probe, seconds)
         labels = probe.listen("/turbseg/labels", Image)
         diagnostics = probe.listen("/diagnostics", DiagnosticArray)
         camera = Camera(probe, rate=120.0)
+        began = time.monotonic()
         # What is lost before anything came can't be told from what was sent before.
         stamps = [camera.send(image)]
         probe.wait_for(lambda: labels, "the first answer")
@@ -106,6 +108,7 @@ def test_too_many_images_cost_the_oldest_and_no_memory(tmp_path, probe, seconds)
             key: int(value) for key, value in figures(diagnostics).items() if "images" in key
         }
         assert node.stop(signal.SIGINT) == 0
+        taken = time.monotonic() - began
     answered = stamps_of(labels)
     assert answered == sorted(set(answered) & set(stamps))
     assert counts["images answered"] == len(answered)
@@ -114,7 +117,8 @@ def test_too_many_images_cost_the_oldest_and_no_memory(tmp_path, probe, seconds)
     assert counts["images received"] + never_received == frames
     assert counts["images dropped"] == frames - never_received - len(answered)
     assert late - early < 20.0
-    assert node.output.count("the oldest are dropped") <= 1 + seconds
+    # Once in five seconds, however long the machine took for it.
+    assert node.output.count("the oldest are dropped") <= 1 + taken / 5
 
 
 def test_a_listener_that_stands_still_does_not_slow_the_node(tmp_path, probe):
@@ -147,9 +151,11 @@ def test_a_listener_that_stands_still_does_not_slow_the_node(tmp_path, probe):
             centroids.clear()
             began = time.monotonic()
             stamps = [camera.send(image) for _ in range(90)]
+            sending = time.monotonic() - began
             probe.wait_for(lambda: len(centroids) == 90, "all answers")
-            # Were each to wait for the listener, for a tenth of a second only, it would take nine.
-            assert time.monotonic() - began < 90 / 30 + 5.0
+            # Were each to wait for the listener, for a tenth of a second only, it would take nine,
+            # or thrice as long as sending. A busy machine is slow at both.
+            assert time.monotonic() - began < 2.0 * sending + 1.0
             assert stamps_of(array.markers[0] for array in centroids) == stamps
             assert node.stop(signal.SIGINT) == 0
         finally:
@@ -168,7 +174,12 @@ def test_a_frame_that_fails_is_answered_empty_and_the_rest_goes_on(tmp_path, pro
         probe.wait_for(lambda: "segmenting failed once" in told(diagnostics), "a warning")
         stamps += [failed, *(camera.send(image) for _ in range(30))]
         probe.wait_for(lambda: len(labels) == 40, "all labels")
-        probe.wait_for(lambda: "segmenting failed 4 times" in told(diagnostics), "an error")
+        probe.wait_for(lambda: figures(diagnostics)["images failed"] == "4", "all failures")
+        # Four at once are an error; where it takes long, the first ones are forgotten by the last.
+        assert any(
+            re.match("segmenting failed [234] times", array.status[0].message)
+            for array in diagnostics
+        )
         assert node.stop(signal.SIGINT) == 0
     assert stamps_of(labels) == stamps
     empty = [number for number, label in enumerate(labels) if not image_from_message(label).any()]

@@ -23,6 +23,7 @@ from support.node_harness import (
     BEST_EFFORT,
     PERIOD,
     SECOND,
+    TIMEOUT,
     Camera,
     NodeProcess,
     Probe,
@@ -217,26 +218,51 @@ def test_stamps_that_repeat_are_skipped_and_those_that_jump_back_begin_anew(
 
 def test_subscribes_as_the_cameras_offer(camera, labels, probe):
     diagnostics = probe.listen("/diagnostics", DiagnosticArray)
-    best_effort = Camera(probe, qos=BEST_EFFORT)
+    best_effort = Camera(probe, qos=BEST_EFFORT, rate=30.0)
     probe.wait_for(
         lambda: figures(diagnostics)["input reliability"] == "best_effort",
         "a best-effort subscription",
     )
-    wait_for_answers(probe, labels, best_effort.play(moving_square(1)))
+    images = itertools.cycle(moving_square(40))
+    sent = []  # any of which may be lost
+    probe.wait_for(
+        lambda: sent.extend(best_effort.play([next(images)])) or labels, "an image to be answered"
+    )
     best_effort.close()
     probe.wait_for(
         lambda: figures(diagnostics)["input reliability"] == "reliable",
         "a reliable subscription",
     )
+    wait_until_settled(probe, diagnostics)
+    answered = stamps_of(labels)
+    assert answered == sorted(set(answered) & set(sent))
+
+
+def wait_until_settled(probe, diagnostics):
+    """Wait until whatever was received has been answered, and nothing more comes."""
+
+    def settled():
+        counts = [
+            {key: value for key, value in figures([array]).items() if key.startswith("images ")}
+            for array in diagnostics[-2:]
+        ]
+        ends = ("answered", "skipped", "dropped", "failed")
+        ended = sum(int(counts[-1][f"images {end}"]) for end in ends)
+        return counts[0] == counts[-1] and int(counts[-1]["images received"]) == ended
+
+    seen = len(diagnostics)
+    probe.wait_for(lambda: len(diagnostics) >= seen + 2, "the last counts")
+    probe.wait_for(settled, "all to be answered")
 
 
 def test_diagnostics_come_every_second(camera, labels, probe):
     diagnostics = probe.listen("/diagnostics", DiagnosticArray)
     wait_for_answers(probe, labels, camera.play(moving_square(40)))
     seen = len(diagnostics)
-    probe.wait_for(lambda: len(diagnostics) >= seen + 3, "diagnostics")
+    probe.wait_for(lambda: len(diagnostics) >= seen + 5, "diagnostics")
+    # One may come late, but not all of them.
     steps = np.diff(stamps_of(diagnostics)) / SECOND
-    assert np.median(steps) == pytest.approx(1.0, abs=0.3)
+    assert np.mean(steps) == pytest.approx(1.0, abs=0.3)
     assert diagnostics[-1].status[0].name == "/turbseg: segmentation"
     assert diagnostics[-1].status[0].hardware_id == "camera"
     shown = figures(diagnostics)
@@ -340,10 +366,22 @@ def test_namespace_remapping_compressed_images_and_the_clock(tmp_path, probe):
                 data = cv2.imencode(kind, image)[1].tobytes()
                 stamps.append(camera.send(CompressedImage(format=kind[1:], data=data)))
         wait_for_answers(probe, labels, stamps)
+        diagnostics = probe.listen("/diagnostics", DiagnosticArray)
         clock = probe.advertise("/clock", Clock)
+
+        def times_told():
+            return [
+                array.header.stamp
+                for array in diagnostics
+                if array.status[0].name.startswith("/north")
+            ]
+
         for second in (100, 101, 50):
-            clock.publish(Clock(clock=ns_to_stamp(second * SECOND)))
-            probe.spin(0.2)
+            now = Clock(clock=ns_to_stamp(second * SECOND))
+            # Time may pass a node by: /clock is best effort, and only its newest is kept.
+            probe.wait_for(
+                lambda now=now: clock.publish(now) or now.clock in times_told(), "the node's time"
+            )
         probe.wait_for(lambda: "/clock jumped by -51.000 s" in process.output, "the log")
         assert process.stop(signal.SIGTERM) == 0
 
@@ -377,7 +415,7 @@ def test_a_nodes_labels_are_those_of_the_replay(tmp_path, probe):
     remapping = ("-r", "__ns:=/twin", "-r", "image_raw:=/lens/image_raw")
     kinds = {"labels": Image, "mask": Image, "centroids": MarkerArray, "annotations": ImageMarker}
     player = [sys.executable, "-m", "turbseg_ros.cli", "play", str(bag), "--rate", "0.5"]
-    player += ["--wait", "20", "--topics", "/lens/image_raw"]
+    player += ["--wait", str(TIMEOUT), "--topics", "/lens/image_raw"]
     with NodeProcess(tmp_path / "output", *ARGUMENTS, *remapping) as node:
         live = {name: probe.listen(f"/twin/turbseg/{name}", kind) for name, kind in kinds.items()}
         with subprocess.Popen(player) as play:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import random
 import signal
 import time
@@ -71,8 +72,15 @@ def stop_under_load(tmp_path, probe, signals, more_frames):
     with NodeProcess(tmp_path / "output", *arguments) as process:
         labels = probe.listen("/loaded/turbseg/labels", Image)
         camera = Camera(probe, "/loaded/image_raw", rate=200.0)
-        stamps = camera.play(moving_square(60, (240, 320)))
-        probe.wait_for(lambda: "the oldest are dropped" in process.output, "images to be dropped")
+        images = itertools.cycle(moving_square(60, (240, 320)))
+        stamps = []
+        probe.wait_for(
+            lambda: (
+                stamps.extend(camera.play(itertools.islice(images, 20)))
+                or "the oldest are dropped" in process.output
+            ),
+            "images to be dropped",
+        )
         stamps += camera.play(moving_square(1 + more_frames, (240, 320)))
         assert process.stop(*signals) == 0
         probe.spin(0.2)

@@ -6,6 +6,7 @@ import time
 import numpy as np
 import pytest
 
+from support.node_harness import TIMEOUT
 from turbseg_ros.messages.images import ImageConversionError
 from turbseg_ros.nodes.diagnostics import Event, Statistics
 from turbseg_ros.nodes.worker import Arrival, Inbox, SegmentationWorker
@@ -30,7 +31,7 @@ class DelayedSegmenter:
 
     def push(self, frame, waiting=0):
         self.waiting.append(waiting)
-        self.gate.wait(5.0)
+        self.gate.wait(TIMEOUT)
         self.calls.append(frame.stamp)
         if frame.stamp in self.fail_at:
             raise RuntimeError("broken")
@@ -111,11 +112,11 @@ class Harness:
 
     def settle(self):
         done = threading.Event()
-        deadline = time.monotonic() + 5.0
+        deadline = time.monotonic() + TIMEOUT
         while self.worker.waiting and time.monotonic() < deadline:
             time.sleep(0.001)
         self.worker._inbox.command(done.set)
-        assert done.wait(5.0)
+        assert done.wait(TIMEOUT)
 
     def totals(self):
         return self.statistics.take().totals
@@ -142,7 +143,7 @@ def test_answers_every_frame_once_and_in_order(harness):
 
 def test_answers_the_last_frames_when_the_stream_pauses(harness):
     harness.submit(*stamps(5))
-    deadline = time.monotonic() + 5.0
+    deadline = time.monotonic() + TIMEOUT
     while len(harness.results) < 5 and time.monotonic() < deadline:
         time.sleep(0.01)
     assert harness.answered == stamps(5)
@@ -277,7 +278,7 @@ def test_stopping_answers_the_window_and_drops_what_waits(harness):
     stopper = threading.Thread(target=harness.worker.stop)
     stopper.start()
     harness.segmenter.gate.set()
-    stopper.join(5.0)
+    stopper.join(TIMEOUT)
     assert not stopper.is_alive()
     assert harness.answered == stamps(len(harness.answered))
     totals = harness.totals()
@@ -296,7 +297,7 @@ def test_stopping_gives_up_on_a_frame_that_takes_for_ever(harness, monkeypatch):
     harness.worker.stop()
     assert any("go unanswered" in line for line in harness.logger.lines)
     harness.segmenter.gate.set()
-    harness.worker._thread.join(5.0)
+    harness.worker._thread.join(TIMEOUT)
     assert harness.answered == answered
 
 

@@ -1,7 +1,8 @@
 """Starts the executables: as `turbseg_NAME`, or by `python -m turbseg_ros.cli NAME`.
 
 Their modules take a second or two to load. A Ctrl-C meanwhile just ends the process, for there is
-nothing to clean up yet; that is why this module itself loads nothing slow.
+nothing to clean up yet; that is why this module itself loads nothing slow. What is asked of a
+command line alone, such as `--help`, is answered before, and so without what they need.
 """
 
 from __future__ import annotations
@@ -11,12 +12,24 @@ import signal
 import sys
 from collections.abc import Callable
 
+_ABOUT_ITSELF = ("-h", "--help", "--version")
+
 
 def _starter(module: str) -> Callable[[], int]:
     def start() -> int:
         # Python's own handler would end in a traceback.
         signal.signal(signal.SIGINT, signal.SIG_DFL)
-        status: int = importlib.import_module(f"turbseg_ros.cli.{module}").main()
+        parser = importlib.import_module(f"turbseg_ros.cli.parsers.{module}").build_parser()
+        asked = [argument for argument in sys.argv[1:] if argument in _ABOUT_ITSELF]
+        if asked:
+            parser.parse_args(asked)
+        try:
+            loaded = importlib.import_module(f"turbseg_ros.cli.{module}")
+        except ImportError as error:
+            from turbseg_ros.cli.errors import refuse_without
+
+            return refuse_without(parser.prog, error)
+        status: int = loaded.main()
         return status
 
     return start

@@ -9,7 +9,6 @@ import json
 import os
 import platform
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -17,20 +16,18 @@ import numpy as np
 
 from turbseg_ros.cli.errors import UsageError, executable
 from turbseg_ros.cli.options import (
-    add_parameter_options,
     parameters_from,
-    positive_count,
     with_progress,
 )
+from turbseg_ros.cli.outputs import check_file
+from turbseg_ros.cli.parsers.benchmark import build_parser
 from turbseg_ros.evaluation.baselines import (
-    BASELINES,
     BackgroundSubtraction,
     Method,
     TurbsegMethod,
     config_path,
 )
 from turbseg_ros.evaluation.benchmark import (
-    YARDSTICK_SIZE,
     Footprint,
     Timing,
     endless,
@@ -46,7 +43,6 @@ from turbseg_ros.simulation.scenes import Scene
 from turbseg_ros.simulation.turbulence import Turbulence
 
 _METHOD = "turbseg"
-_SIZES = ((640, 480), (1280, 720), (1920, 1080))
 _RATE_HZ = 30.0
 _SEED = 7
 # Frames that are rendered, and then shown forward and backward.
@@ -60,10 +56,10 @@ _MAX_OBJECTS = 16
 @executable("turbseg_benchmark")
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the executable; return its exit status."""
-    options = _parser().parse_args(arguments)
+    options = build_parser().parse_args(arguments)
     parameters = parameters_from(options)
     if options.json is not None:
-        options.json.parent.mkdir(parents=True, exist_ok=True)
+        check_file(options.json)
     if not 0 <= options.objects <= _MAX_OBJECTS:
         raise UsageError(f"--objects {options.objects}: give 0 to {_MAX_OBJECTS}")
     methods = _methods(options.baselines, parameters)
@@ -169,68 +165,3 @@ def _report(
             for timing, needs in cases
         ],
     }
-
-
-def _sizes(text: str) -> tuple[tuple[int, int], ...]:
-    """Read sizes such as 640x480,1920x1080."""
-    try:
-        sizes = tuple(_size(item) for item in text.split(","))
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(f"{text}: give sizes as 640x480,1920x1080") from error
-    if not all(64 <= side <= 8192 for size in sizes for side in size):
-        raise argparse.ArgumentTypeError(f"{text}: sides have 64 to 8192 pixels")
-    return sizes
-
-
-def _size(text: str) -> tuple[int, int]:
-    width, height = text.split("x")
-    return int(width), int(height)
-
-
-def _baselines(text: str) -> list[str]:
-    names = [name.strip() for name in text.split(",") if name.strip()]
-    unknown = [name for name in names if name not in BASELINES]
-    if unknown:
-        raise argparse.ArgumentTypeError(
-            f"no baseline {unknown[0]}; there are {', '.join(BASELINES)}"
-        )
-    return names
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="turbseg_benchmark",
-        description=(
-            "Time the method, its stages and its baselines on a rendered clip, turn by turn with "
-            f"one DIS flow (medium preset, {YARDSTICK_SIZE[0]}x{YARDSTICK_SIZE[1]}), and give the "
-            "ratio to that."
-        ),
-    )
-    parser.add_argument(
-        "--sizes",
-        type=_sizes,
-        default=_SIZES,
-        metavar="WxH,WxH",
-        help="of the frames (640x480,1280x720,1920x1080)",
-    )
-    parser.add_argument(
-        "--frames",
-        type=positive_count,
-        default=100,
-        metavar="N",
-        help=f"frames that are timed, after {_WARM_UP} others (%(default)s)",
-    )
-    parser.add_argument(
-        "--objects", type=int, default=2, metavar="N", help="moving objects (%(default)s)"
-    )
-    parser.add_argument(
-        "--baselines",
-        "--rivals",
-        type=_baselines,
-        default=list(BASELINES),
-        metavar="NAMES",
-        help=f"some of {','.join(BASELINES)} (all)",
-    )
-    parser.add_argument("--json", type=Path, metavar="F", help="also write the figures as JSON")
-    add_parameter_options(parser)
-    return parser

@@ -5,7 +5,6 @@ Run as `python -m turbseg_ros.cli demo`. It stays on this machine, in a ROS doma
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import functools
 import os
@@ -27,6 +26,8 @@ from turbseg_ros.bag.reader import BagReader
 from turbseg_ros.bag.topics import LABELS_TOPIC, RESULT_NAMESPACE, TRUTH_TOPIC
 from turbseg_ros.bag.writer import BagWriter
 from turbseg_ros.cli.errors import UsageError, executable
+from turbseg_ros.cli.outputs import check_folder
+from turbseg_ros.cli.parsers.demo import build_parser
 from turbseg_ros.cli.processes import (
     ChildProcess,
     ProcessError,
@@ -84,6 +85,7 @@ class _Products:
 
         :raises UsageError: when something else lies where the bag shall be.
         """
+        check_folder(self.directory)
         if self.bag.exists() and not (self.bag / "metadata.yaml").is_file():
             raise UsageError(f"{self.bag} is no bag; remove it or choose another --out")
         for directory in (self.bag, self.logs):
@@ -96,7 +98,7 @@ class _Products:
 @executable("demo")
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the demonstration; return its exit status, 1 when something fell short."""
-    options = _parser().parse_args(arguments)
+    options = build_parser().parse_args(arguments)
     source = BagReader(options.bag)
     image_topic = source.find_image_topic()
     truth = LabelsByStamp(read_labels(source, TRUTH_TOPIC))
@@ -221,28 +223,3 @@ def _draw(frames: BagFrames, products: _Products) -> int:
         strip.add(result_from_labels(frame, labels))
     write_picture(products.overlay, strip.picture())
     return unanswered
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="demo",
-        description="Play a bag into the live node over DDS; record, score and draw its answers.",
-    )
-    parser.add_argument(
-        "--bag",
-        type=Path,
-        default=Path("bags/normal"),
-        metavar="BAG",
-        help="bag with images and their truth (%(default)s)",
-    )
-    parser.add_argument(
-        "--out", type=Path, default=Path("out/demo"), metavar="DIR", help="results (%(default)s)"
-    )
-    parser.add_argument(
-        "--minimum-j",
-        type=float,
-        default=0.7,
-        metavar="J",
-        help="mean J below which the demonstration has failed (%(default)s)",
-    )
-    return parser

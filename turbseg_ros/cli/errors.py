@@ -15,6 +15,7 @@ from types import FrameType
 from typing import NoReturn, Protocol
 
 from turbseg_ros.bag.errors import BagError
+from turbseg_ros.dependencies import what_is_missing
 from turbseg_ros.parameters import ParameterError
 
 _REFUSED = 2  # as argparse ends
@@ -56,8 +57,9 @@ def signals_answered_by(handler: SignalHandler, numbers: Iterable[int]) -> Itera
 def executable(name: str) -> Callable[[Main], Main]:
     """Decorate `main(arguments) -> exit status` of the executable `name`.
 
-    A user's mistake becomes one line on standard error and exit status 2; SIGINT and SIGTERM
-    unwind the program once, so that `with` and `finally` clean up undisturbed.
+    A user's mistake, such as a package that is not installed, becomes one line on standard error
+    and exit status 2; SIGINT and SIGTERM unwind the program once, so that `with` and `finally`
+    clean up undisturbed.
     """
 
     def decorate(main: Main) -> Main:
@@ -71,6 +73,8 @@ def executable(name: str) -> Callable[[Main], Main]:
                     return _leave_closed_pipe()
                 except (BagError, ParameterError, UsageError) as error:
                     return _refuse(name, str(error))
+                except ImportError as error:
+                    return refuse_without(name, error)
                 except OSError as error:
                     if error.filename is None:
                         raise
@@ -80,6 +84,17 @@ def executable(name: str) -> Callable[[Main], Main]:
         return run
 
     return decorate
+
+
+def refuse_without(name: str, error: ImportError) -> int:
+    """Say in one line what the executable `name` lacks; return its exit status.
+
+    :raises ImportError: `error`, when it is about nothing that a user would install.
+    """
+    reason = what_is_missing(error)
+    if reason is None:
+        raise error
+    return _refuse(name, reason)
 
 
 def _refuse(name: str, reason: str) -> int:

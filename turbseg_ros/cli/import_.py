@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import sys
 from collections.abc import Iterator, Sequence
@@ -13,10 +12,12 @@ import numpy.typing as npt
 from sensor_msgs.msg import Image
 
 from turbseg_ros.bag.errors import ClipError
-from turbseg_ros.bag.topics import IMAGE_TOPIC, TRUTH_TOPIC
+from turbseg_ros.bag.topics import TRUTH_TOPIC
 from turbseg_ros.bag.writer import BagWriter
 from turbseg_ros.cli.errors import UsageError, executable
-from turbseg_ros.cli.options import positive_number, with_progress
+from turbseg_ros.cli.options import with_progress
+from turbseg_ros.cli.outputs import check_new
+from turbseg_ros.cli.parsers.import_ import FOLDER_RATE, build_parser
 from turbseg_ros.datasets.clip import (
     Clip,
     FrameFormat,
@@ -34,13 +35,13 @@ from turbseg_ros.messages.images import (
 _FRAME_ID = "camera"
 # ROS takes time 0 for "not set", so clips begin a second later.
 _START_NS = 1_000_000_000
-_FOLDER_RATE = 30.0  # Hz
 
 
 @executable("turbseg_import")
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the executable; return its exit status."""
-    options = _parser().parse_args(arguments)
+    options = build_parser().parse_args(arguments)
+    check_new(options.out)
     clip = find_clip(options.source, options.masks)
     rate = options.rate or _own_rate(clip, options.source)
     with BagWriter(options.out) as bag:
@@ -87,7 +88,7 @@ def _labels(masks: ImageFolder, form: FrameFormat) -> Iterator[Labels]:
 
 def _own_rate(clip: Clip, source: Path) -> float:
     if isinstance(clip.frames, ImageFolder):
-        return _FOLDER_RATE
+        return FOLDER_RATE
     if clip.frames.rate is None:
         raise UsageError(f"{source} states no frame rate; return it with --rate")
     return clip.frames.rate
@@ -97,30 +98,3 @@ def _truth_of(clip: Clip) -> str:
     if clip.masks is None:
         return "no masks"
     return f"masks of {clip.masks.folder} on {TRUTH_TOPIC}"
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="turbseg_import",
-        description="Make a bag of a video file or a folder of frames, with masks as truth.",
-        epilog="Masks hold 0 for background and 255 for all objects together, or labels 1, 2... "
-        "or the colours of DAVIS-2017 to tell them apart. Frames and masks pair by order.",
-    )
-    parser.add_argument(
-        "source",
-        type=Path,
-        metavar="SRC",
-        help="video, folder of frames, or folder of a sequence with frames/ and masks/ in it; "
-        "masks are found too in a tree beside that of the frames, as DAVIS has it: "
-        "JPEGImages/480p/NAME and Annotations/480p/NAME",
-    )
-    parser.add_argument("out", type=Path, metavar="OUT", help="bag to be written")
-    parser.add_argument("--masks", type=Path, metavar="DIR", help="folder with a mask a frame")
-    parser.add_argument(
-        "--rate",
-        type=positive_number,
-        metavar="HZ",
-        help=f"frame rate (default: the video's own; {_FOLDER_RATE:g} for folders)",
-    )
-    parser.add_argument("--topic", default=IMAGE_TOPIC, help="default: %(default)s")
-    return parser

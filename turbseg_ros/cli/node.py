@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import signal
 import sys
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from turbseg_ros.cli.errors import UsageError, executable
 from turbseg_ros.cli.memory import keep_large_buffers
+from turbseg_ros.cli.parsers.node import build_parser
 
 if TYPE_CHECKING:
     from rclpy.executors import Executor
@@ -34,7 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     command = sys.argv if arguments is None else [sys.argv[0], *arguments]
     try:
-        _check_arguments(remove_ros_args(command)[1:])
+        build_parser().parse_args(remove_ros_args(command)[1:])
         rclpy.init(args=command, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:
         raise UsageError(str(error)) from error
@@ -43,16 +43,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     finally:
         rclpy.try_shutdown()
     return 0
-
-
-def _check_arguments(arguments: Sequence[str]) -> None:
-    """Answer --help and refuse whatever else is left when ROS has taken its own."""
-    argparse.ArgumentParser(
-        prog="turbseg_node",
-        description="Segment what really moves before a camera, live.",
-        epilog="ROS arguments follow --ros-args: -r image_raw:=TOPIC, -p NAME:=VALUE, "
-        "--params-file FILE, -r __ns:=/NAMESPACE.",
-    ).parse_args(arguments)
 
 
 def _run() -> None:

@@ -1,4 +1,7 @@
-"""Command-line options that several executables share."""
+"""Command-line options that several executables share.
+
+Parsers are made of these where nothing else is installed: the module itself needs only Python.
+"""
 
 from __future__ import annotations
 
@@ -9,14 +12,19 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TypeVar
 
-import yaml
-from tqdm import tqdm
-from tqdm.contrib.logging import logging_redirect_tqdm
-
-from turbseg_ros.parameter_file import load_parameters
+from turbseg_ros import __version__
 from turbseg_ros.parameters import Declaration, ParameterError, Parameters, declarations
 
 T = TypeVar("T")
+
+
+def command_parser(
+    prog: str, description: str, epilog: str | None = None
+) -> argparse.ArgumentParser:
+    """Return a parser for the arguments of the executable `prog`, which tells its version."""
+    parser = argparse.ArgumentParser(prog=prog, description=description, epilog=epilog)
+    parser.add_argument("--version", action="version", version=f"{prog} {__version__}")
+    return parser
 
 
 def add_parameter_options(parser: argparse.ArgumentParser) -> None:
@@ -51,6 +59,8 @@ def parameters_from(options: argparse.Namespace) -> Parameters:
     """
     parameters = Parameters()
     if options.params_file is not None:
+        from turbseg_ros.parameter_file import load_parameters
+
         parameters = load_parameters(options.params_file, options.node)
     return parameters.replace(dict(_parsed(override) for override in options.overrides))
 
@@ -62,6 +72,9 @@ def with_progress(
 
     `total` is how many they are, where they don't know it themselves.
     """
+    from tqdm import tqdm
+    from tqdm.contrib.logging import logging_redirect_tqdm
+
     with logging_redirect_tqdm():
         yield from tqdm(
             items,
@@ -75,6 +88,8 @@ def with_progress(
 
 
 def _parsed(override: str) -> tuple[str, object]:
+    import yaml
+
     name, separator, value = override.partition(":=")
     if not (name and separator):
         raise ParameterError(f"-p takes NAME:=VALUE, not {override!r}")

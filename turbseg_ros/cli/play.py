@@ -6,7 +6,6 @@ import argparse
 import contextlib
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 
 import rclpy
 from rclpy.signals import SignalHandlerOptions
@@ -14,7 +13,7 @@ from rclpy.utilities import remove_ros_args
 
 from turbseg_ros.bag.reader import BagReader
 from turbseg_ros.cli.errors import Interrupted, UsageError, executable
-from turbseg_ros.cli.options import positive_count, positive_number
+from turbseg_ros.cli.parsers.play import build_parser
 from turbseg_ros.nodes.player import Player, Timeline, lossless_qos, recorded_qos
 from turbseg_ros.throttle import ThrottledLogger
 
@@ -33,7 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run(command: Sequence[str]) -> None:
     try:
-        options = _parser().parse_args(remove_ros_args(command)[1:])
+        options = build_parser().parse_args(remove_ros_args(command)[1:])
         if options.clock and options.stamp_now:
             raise UsageError(
                 "--clock publishes the bag's time and --stamp-now another one; choose one of them"
@@ -78,50 +77,3 @@ def _play(player: Player, options: argparse.Namespace) -> None:
             break
     if not player.wait_until_received(_ACKNOWLEDGEMENT):
         log.warning("some subscribers have not acknowledged all messages")
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="turbseg_play",
-        description="Publish the messages of a bag in their own time.",
-        epilog="ROS arguments follow --ros-args: -r /camera/image_raw:=TOPIC. "
-        "The service /turbseg_play/pause (std_srvs/SetBool) pauses and resumes.",
-    )
-    parser.add_argument("bag", type=Path, metavar="BAG", help="rosbag2 directory or MCAP file")
-    parser.add_argument(
-        "--rate", type=positive_number, default=1.0, metavar="R", help="times as fast (default: 1)"
-    )
-    parser.add_argument(
-        "--loop", action="store_true", help="play it again and again; times in messages go on"
-    )
-    parser.add_argument("--clock", action="store_true", help="publish the bag's time on /clock")
-    parser.add_argument(
-        "--stamp-now",
-        action="store_true",
-        help="stamp messages with the time at which they are published, as a camera would",
-    )
-    parser.add_argument(
-        "--topics", nargs="+", metavar="T", help="topics to publish (default: all)"
-    )
-    parser.add_argument(
-        "--start-paused", action="store_true", help="wait for the service to resume"
-    )
-    parser.add_argument(
-        "--recorded-qos",
-        action="store_true",
-        help="offer what was recorded, best effort too (default: reliable, which loses nothing)",
-    )
-    parser.add_argument(
-        "--wait",
-        type=positive_number,
-        metavar="S",
-        help="wait for subscribers to every image topic, S seconds at most",
-    )
-    parser.add_argument(
-        "--subscribers",
-        type=positive_count,
-        default=1,
-        metavar="N",
-        help="how many --wait waits for (default: 1)",
-    )
-    return parser

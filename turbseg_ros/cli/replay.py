@@ -8,7 +8,6 @@ import logging
 import traceback
 from collections import Counter
 from collections.abc import Sequence
-from pathlib import Path
 
 from turbseg_ros.bag.errors import BagError
 from turbseg_ros.bag.frames import BagFrames, ahead
@@ -16,9 +15,11 @@ from turbseg_ros.bag.reader import BagReader
 from turbseg_ros.bag.schema import type_name_of
 from turbseg_ros.bag.topics import RESULT_NAMESPACE
 from turbseg_ros.bag.writer import BagWriter, serialised
-from turbseg_ros.cli.errors import executable
+from turbseg_ros.cli.errors import UsageError, executable
 from turbseg_ros.cli.memory import keep_large_buffers
-from turbseg_ros.cli.options import add_parameter_options, parameters_from, with_progress
+from turbseg_ros.cli.options import parameters_from, with_progress
+from turbseg_ros.cli.outputs import check_new, check_picture
+from turbseg_ros.cli.parsers.replay import build_parser
 from turbseg_ros.factory import clip_segmenter
 from turbseg_ros.messages.results import CentroidMarkers, Output, outputs, slot_output
 from turbseg_ros.overlay import OverlayStrip, write_picture
@@ -74,13 +75,12 @@ class ResultWriter:
 @executable("turbseg_replay")
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the executable; return its exit status."""
-    options = _parser().parse_args(arguments)
+    options = build_parser().parse_args(arguments)
     keep_large_buffers()
     parameters = parameters_from(options)
     reader = BagReader(options.bag)
     frames = BagFrames(reader, reader.find_image_topic(options.image_topic))
-    if options.overlay is not None:
-        options.overlay.parent.mkdir(parents=True, exist_ok=True)
+    _check_outputs(options)
     segmenter = clip_segmenter(
         parameters, functools.partial(with_progress, title="refining", unit="epoch")
     )
@@ -106,23 +106,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 1 if failed else 0
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="turbseg_replay",
-        description="Segment every frame of a bag and write the node's topics into another bag.",
-    )
-    parser.add_argument("bag", type=Path, metavar="BAG", help="rosbag2 directory or MCAP file")
-    parser.add_argument(
-        "-o", "--out", type=Path, required=True, metavar="OUT", help="bag to be written"
-    )
-    parser.add_argument(
-        "--image-topic", metavar="T", help="images to segment, where the bag has several topics"
-    )
-    parser.add_argument(
-        "--overlay",
-        type=Path,
-        metavar="PICTURE",
-        help="also draw nine frames with what was found, as PNG or .jpg",
-    )
-    add_parameter_options(parser)
-    return parser
+def _check_outputs(options: argparse.Namespace) -> None:
+    check_new(options.out)
+    if options.overlay is not None:
+        if options.out.absolute() in options.overlay.absolute().parents:
+            raise UsageError(
+                f"{options.overlay} lies in the bag to be written; name another place"
+            )
+        check_picture(options.overlay)

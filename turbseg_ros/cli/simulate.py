@@ -13,6 +13,8 @@ from turbseg_ros.bag.topics import IMAGE_TOPIC, TRUTH_TOPIC
 from turbseg_ros.bag.writer import BagWriter
 from turbseg_ros.cli.errors import UsageError, executable
 from turbseg_ros.cli.options import with_progress
+from turbseg_ros.cli.outputs import check_new
+from turbseg_ros.cli.parsers.simulate import build_parser
 from turbseg_ros.evaluation.labels import LabelsByStamp, read_labels
 from turbseg_ros.messages.images import (
     ImageConversionError,
@@ -33,12 +35,13 @@ _MAX_TILT_PX = 20.0
 @executable("turbseg_simulate")
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the executable; return its exit status."""
-    options = _parser().parse_args(arguments)
+    options = build_parser().parse_args(arguments)
     if options.list:
         _list_scenes()
         return 0
     _check(options)
     if options.warp is not None:
+        check_new(options.out)
         _warp_bag(options.warp, options.image_topic, options.tilt, options.seed, options.out)
         return 0
     for chosen, path in _chosen_scenes(options.scene, options.out):
@@ -78,8 +81,7 @@ def _chosen_scenes(name: str, out: Path) -> list[tuple[Scene, Path]]:
         except UnknownSceneError as error:
             raise UsageError(str(error)) from error
     for _, path in chosen:
-        if path.exists():
-            raise UsageError(f"{path} exists already; remove it or choose another output")
+        check_new(path)
     return chosen
 
 
@@ -135,31 +137,3 @@ def _warp_bag(source: Path, image_topic: str | None, tilt: float, seed: int, out
         print(
             f"{len(truth) - scored} label images had no frame and were left out", file=sys.stderr
         )
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="turbseg_simulate",
-        description="Render scenes seen through turbulent air into bags, with exact truth, or put "
-        "turbulence on a bag of your own.",
-    )
-    task = parser.add_mutually_exclusive_group(required=True)
-    task.add_argument("--list", action="store_true", help="list the scenes")
-    task.add_argument("--scene", metavar="NAME", help="render this scene, or 'all' of them")
-    task.add_argument(
-        "--warp", type=Path, metavar="BAG", help="warp this bag's images and their truth"
-    )
-    parser.add_argument(
-        "-o", "--out", type=Path, metavar="OUT", help="bag to be written; with 'all' a folder"
-    )
-    parser.add_argument(
-        "--tilt",
-        type=float,
-        metavar="PX",
-        help="rms tilt a axis in pixels of the image, instead of the scene's own",
-    )
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="default: 0")
-    parser.add_argument(
-        "--image-topic", metavar="T", help="images to warp, where the bag has several topics"
-    )
-    return parser

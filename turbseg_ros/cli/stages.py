@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -14,7 +12,9 @@ from turbseg_ros.arrays import ByteImage
 from turbseg_ros.bag.frames import BagFrames
 from turbseg_ros.bag.reader import BagReader
 from turbseg_ros.cli.errors import UsageError, executable
-from turbseg_ros.cli.options import add_parameter_options, parameters_from, with_progress
+from turbseg_ros.cli.options import parameters_from, with_progress
+from turbseg_ros.cli.outputs import check_picture
+from turbseg_ros.cli.parsers.stages import build_parser
 from turbseg_ros.factory import motion_segmenter
 from turbseg_ros.overlay import (
     WHITE,
@@ -74,7 +74,8 @@ class FrameObserver(StageObserver):
 @executable("stages")
 def main(arguments: Sequence[str] | None = None) -> int:
     """Draw the picture; return the exit status."""
-    options = _parser().parse_args(arguments)
+    options = build_parser().parse_args(arguments)
+    check_picture(options.out)
     parameters = parameters_from(options)
     reader = BagReader(options.bag)
     frames = BagFrames(reader, reader.find_image_topic(options.image_topic))
@@ -87,7 +88,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         (result,) = [result for result in results if result.frame.stamp == observer.stamp]
     if observer.stages is None:
         raise UsageError(f"nothing to compare frame {options.frame} with")
-    options.out.parent.mkdir(parents=True, exist_ok=True)
     write_picture(options.out, grid(list(_tiles(result, observer.stages)), columns=3))
     return 0
 
@@ -143,21 +143,3 @@ def _outlined(result: SegmentationResult, stages: Stages) -> Canvas:
         scaled = [np.rint((contour + 0.5) * scale - 0.5).astype(np.int32) for contour in contours]
         cv2.polylines(canvas.image, scaled, True, WHITE, 1, cv2.LINE_AA)
     return canvas
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="stages", description="Draw what each stage of the method makes of one frame."
-    )
-    parser.add_argument("bag", type=Path, metavar="BAG", help="rosbag2 directory or MCAP file")
-    parser.add_argument(
-        "-o", "--out", type=Path, required=True, metavar="PICTURE", help="PNG or JPEG to write"
-    )
-    parser.add_argument(
-        "--frame", type=int, default=30, metavar="N", help="number of the frame (%(default)s)"
-    )
-    parser.add_argument(
-        "--image-topic", metavar="T", help="images to segment, where the bag has several topics"
-    )
-    add_parameter_options(parser)
-    return parser

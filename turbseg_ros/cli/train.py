@@ -15,7 +15,9 @@ from typing import Any
 import cv2
 
 from turbseg_ros.cli.errors import UsageError, executable
-from turbseg_ros.cli.options import positive_count, with_progress
+from turbseg_ros.cli.options import with_progress
+from turbseg_ros.cli.outputs import check_new
+from turbseg_ros.cli.parsers.train import build_parser
 from turbseg_ros.learning.examples import Examples, examples_from, rendered_clip
 from turbseg_ros.learning.torch_import import require_torch
 from turbseg_ros.parameters import Parameters
@@ -28,10 +30,9 @@ _REPORTS = 20
 @executable("turbseg_train")
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the executable; return its exit status."""
-    options = _parser().parse_args(arguments)
+    options = build_parser().parse_args(arguments)
     require_torch("turbseg_train")
-    if options.out.exists():
-        raise UsageError(f"{options.out} exists already; remove it or choose another output")
+    check_new(options.out)
     if options.scenes < 2:
         raise UsageError("--scenes 1: give 2 or more, for some are held out")
     options.out.parent.mkdir(parents=True, exist_ok=True)
@@ -95,38 +96,3 @@ def _train(
         "held_out": dataclasses.asdict(scores),
         "curve": curve,
     }
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="turbseg_train",
-        description="Render scenes drawn at random, take the method's windows on them, train "
-        "Refine-Net on their truth, and write it as ONNX and safetensors with a record of the "
-        "training. One scene in ten is held out.",
-    )
-    parser.add_argument(
-        "-o", "--out", type=Path, required=True, metavar="DIR", help="folder to be written"
-    )
-    parser.add_argument(
-        "--scenes", type=positive_count, default=60, metavar="N", help="default: %(default)s"
-    )
-    parser.add_argument(
-        "--first-scene", type=int, default=100, metavar="N", help="seed (%(default)s)"
-    )
-    parser.add_argument(
-        "--frames", type=positive_count, default=30, metavar="N", help="a scene (%(default)s)"
-    )
-    parser.add_argument(
-        "--steps", type=positive_count, default=2500, metavar="N", help="default: %(default)s"
-    )
-    parser.add_argument(
-        "--workers",
-        type=positive_count,
-        default=1,
-        metavar="N",
-        help="processes that render (%(default)s); the windows are the same",
-    )
-    parser.add_argument(
-        "--seed", type=int, default=1, metavar="N", help="of the network (%(default)s)"
-    )
-    return parser

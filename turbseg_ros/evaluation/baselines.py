@@ -18,6 +18,7 @@ import cv2
 import numpy as np
 
 from turbseg_ros.arrays import ByteImage, Mask, Matrix
+from turbseg_ros.evaluation import BASELINES
 from turbseg_ros.factory import clip_segmenter
 from turbseg_ros.parameter_file import load_parameters
 from turbseg_ros.parameters import Parameters
@@ -42,8 +43,6 @@ _SUBTRACTORS: dict[str, Callable[[], cv2.BackgroundSubtractor]] = {
     "mog2": lambda: cv2.createBackgroundSubtractorMOG2(detectShadows=False),
     "knn": lambda: cv2.createBackgroundSubtractorKNN(detectShadows=False),
 }
-BASELINES = (*_SUBTRACTORS, "paper")
-"""The names of the baselines."""
 
 
 class UnknownBaselineError(ValueError):

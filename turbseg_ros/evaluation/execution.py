@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import cv2
 
 from turbseg_ros.bag.errors import BagError
+from turbseg_ros.dependencies import how_to_install
 from turbseg_ros.evaluation.evaluate import EvaluationError
 from turbseg_ros.evaluation.run import Progress, Run, RunResult
 from turbseg_ros.parameters import ParameterError
@@ -109,7 +110,7 @@ def _distributed() -> Any:
     try:
         return importlib.import_module("distributed")
     except ImportError as error:
-        raise ClusterError("Dask is not installed: pip install distributed") from error
+        raise ClusterError(f"Dask is not installed: {how_to_install('distributed')}") from error
 
 
 def _leave_interrupts_to_the_parent() -> None:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import base64
 import dataclasses
-import importlib.metadata
 import importlib.resources
 import platform
 from collections.abc import Mapping, Sequence
@@ -17,6 +16,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from turbseg_ros import __version__
+from turbseg_ros.dependencies import how_to_install
 from turbseg_ros.evaluation.chart import Chart, Line
 from turbseg_ros.evaluation.experiments import ScoredExperiment, ScoredRow
 from turbseg_ros.evaluation.pictures import Illustrations, Picture
@@ -62,7 +63,7 @@ class ReportWriter:
         try:
             import jinja2
         except ImportError as error:
-            raise ReportError("a report needs Jinja: pip install jinja2") from error
+            raise ReportError(f"a report needs Jinja: {how_to_install('jinja2')}") from error
         environment = jinja2.Environment(
             loader=jinja2.FunctionLoader(_template_source),
             autoescape=True,
@@ -254,7 +255,7 @@ def _changed(parameters: Parameters) -> dict[str, Value]:
 
 def _versions() -> dict[str, str]:
     return {
-        "turbseg_ros": importlib.metadata.version("turbseg_ros"),
+        "turbseg_ros": __version__,
         "OpenCV": cv2.__version__,
         "NumPy": np.__version__,
         "Python": platform.python_version(),

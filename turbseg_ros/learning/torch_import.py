@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 
+from turbseg_ros.dependencies import how_to_install
 from turbseg_ros.parameters import ParameterError
 
 
@@ -18,4 +19,4 @@ def require_torch(what: str) -> None:
     :raises NetworkError: when it is not.
     """
     if importlib.util.find_spec("torch") is None:
-        raise NetworkError(f"{what} needs torch: pip install 'turbseg_ros[learning]'")
+        raise NetworkError(f"{what} needs torch: {how_to_install('torch')}")

@@ -1,0 +1,1 @@
+"""The executables' command lines, which need nothing but Python: `--help` works anywhere."""

@@ -1,0 +1,76 @@
+"""The command line of `turbseg_benchmark`."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from turbseg_ros.cli.options import add_parameter_options, command_parser, positive_count
+from turbseg_ros.evaluation import BASELINES
+
+_SIZES = ((640, 480), (1280, 720), (1920, 1080))
+
+
+def _sizes(text: str) -> tuple[tuple[int, int], ...]:
+    """Read sizes such as 640x480,1920x1080."""
+    try:
+        sizes = tuple(_size(item) for item in text.split(","))
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"{text}: give sizes as 640x480,1920x1080") from error
+    if not all(64 <= side <= 8192 for size in sizes for side in size):
+        raise argparse.ArgumentTypeError(f"{text}: sides have 64 to 8192 pixels")
+    return sizes
+
+
+def _size(text: str) -> tuple[int, int]:
+    width, height = text.split("x")
+    return int(width), int(height)
+
+
+def _baselines(text: str) -> list[str]:
+    names = [name.strip() for name in text.split(",") if name.strip()]
+    unknown = [name for name in names if name not in BASELINES]
+    if unknown:
+        raise argparse.ArgumentTypeError(
+            f"no baseline {unknown[0]}; there are {', '.join(BASELINES)}"
+        )
+    return names
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """Return the parser of its arguments."""
+    parser = command_parser(
+        prog="turbseg_benchmark",
+        description=(
+            "Time the method, its stages and its baselines on a rendered clip, turn by turn with "
+            "one DIS flow of a fixed size, and give the ratio to that."
+        ),
+    )
+    parser.add_argument(
+        "--sizes",
+        type=_sizes,
+        default=_SIZES,
+        metavar="WxH,WxH",
+        help="of the frames (640x480,1280x720,1920x1080)",
+    )
+    parser.add_argument(
+        "--frames",
+        type=positive_count,
+        default=100,
+        metavar="N",
+        help="frames that are timed, after others to warm up (%(default)s)",
+    )
+    parser.add_argument(
+        "--objects", type=int, default=2, metavar="N", help="moving objects (%(default)s)"
+    )
+    parser.add_argument(
+        "--baselines",
+        "--rivals",
+        type=_baselines,
+        default=list(BASELINES),
+        metavar="NAMES",
+        help=f"some of {','.join(BASELINES)} (all)",
+    )
+    parser.add_argument("--json", type=Path, metavar="F", help="also write the figures as JSON")
+    add_parameter_options(parser)
+    return parser

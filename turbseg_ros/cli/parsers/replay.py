@@ -1,0 +1,32 @@
+"""The command line of `turbseg_replay`."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from turbseg_ros.cli.options import add_parameter_options, command_parser
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """Return the parser of its arguments."""
+    parser = command_parser(
+        prog="turbseg_replay",
+        description="Segment every frame of a bag and write the node's topics into another bag.",
+    )
+    parser.add_argument("bag", type=Path, metavar="BAG", help="rosbag2 directory or MCAP file")
+    parser.add_argument(
+        "-o", "--out", type=Path, required=True, metavar="OUT", help="bag to be written"
+    )
+    parser.add_argument(
+        "--image-topic", metavar="T", help="images to segment, where the bag has several topics"
+    )
+    parser.add_argument(
+        "--overlay",
+        type=Path,
+        metavar="PICTURE",
+        help="also draw nine frames with what was found, in the format that the name ends in: "
+        ".png, .jpg, .webp, .bmp or .tif",
+    )
+    add_parameter_options(parser)
+    return parser
