@@ -53,6 +53,7 @@ class BagWriter:
         self._schema_ids: dict[str, int] = {}
         self._first_stamp: int | None = None
         self._last_stamp = 0
+        self._partial_reason = ""
 
     def __enter__(self) -> BagWriter:
         self._refuse_existing()
@@ -108,6 +109,10 @@ class BagWriter:
             serialised_image(message) if isinstance(message, Image) else serialize_message(message)
         )
         self.write_serialized(topic, type_name_of(message), cdr, stamp_ns)
+
+    def mark_partial(self, reason: str) -> None:
+        """Note in `metadata.yaml`, as custom data under `partial`, that something is missing."""
+        self._partial_reason = reason
 
     def write_serialized(self, topic: str, type_name: str, cdr: bytes, stamp_ns: int) -> None:
         """Append a message that is serialized as CDR already, encapsulation header included.
@@ -183,7 +188,7 @@ class BagWriter:
             "compression_mode": "",
             "relative_file_paths": [self._file_name],
             "files": [{"path": self._file_name, **extent}],
-            "custom_data": None,
+            "custom_data": {"partial": self._partial_reason} if self._partial_reason else None,
             "ros_distro": _ROS_DISTRO,
         }
 

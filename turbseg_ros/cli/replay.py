@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import functools
-from collections.abc import Sequence
+import sys
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from turbseg_ros.bag.errors import BagError
@@ -12,7 +12,7 @@ from turbseg_ros.bag.frames import BagFrames, ahead
 from turbseg_ros.bag.reader import BagReader
 from turbseg_ros.bag.topics import RESULT_NAMESPACE
 from turbseg_ros.bag.writer import BagWriter
-from turbseg_ros.cli.errors import executable
+from turbseg_ros.cli.errors import executable, interrupted_after, stopping_at_signals
 from turbseg_ros.cli.memory import keep_large_buffers
 from turbseg_ros.cli.options import add_parameter_options, parameters_from, with_progress
 from turbseg_ros.factory import clip_segmenter
@@ -56,23 +56,38 @@ def main(arguments: Sequence[str] | None = None) -> int:
     frames = BagFrames(reader, reader.find_image_topic(options.image_topic))
     if options.overlay is not None:
         options.overlay.parent.mkdir(parents=True, exist_ok=True)
-    segmenter = clip_segmenter(
-        parameters, functools.partial(with_progress, title="refining", unit="epoch")
-    )
     strip = OverlayStrip(len(frames))
     count = 0
-    with BagWriter(options.out) as bag:
+    with stopping_at_signals("turbseg_replay") as stop, BagWriter(options.out) as bag:
+
+        def shown(epochs: range) -> Iterator[int]:
+            for epoch in with_progress(epochs, title="refining", unit="epoch"):
+                # Before the last epoch there is nothing to keep.
+                stop.check()
+                yield epoch
+
+        segmenter = clip_segmenter(parameters, shown)
         results = ResultWriter(bag)
-        # The next frames are read and segmented while a result is written.
-        images = ahead(with_progress(frames, reader.path.name))
+        # The next frames are read and segmented while a result is written. When it is stopped,
+        # those that were read get their results.
+        taken = stop.until_stopped(frames)
+        images = ahead(with_progress(taken, reader.path.name, len(frames)))
         for result in ahead(segment(images, segmenter)):
             results.write(result)
             strip.add(result)
             count += 1
+        if stop.cut and not count:
+            stop.check()
         if not count:
             raise BagError(f"{reader.path}: none of {len(frames)} images could be read")
+        if stop.cut:
+            bag.mark_partial(interrupted_after(count, len(frames)))
     if options.overlay is not None:
         write_picture(options.overlay, strip.picture())
+    if stop.cut:
+        partial = interrupted_after(count, len(frames))
+        print(f"turbseg_replay: {options.out} is partial: {partial}", file=sys.stderr)
+        return stop.status
     lost = f", {frames.lost} images lost with what is damaged" if frames.lost else ""
     print(f"{options.out}: {count} results, {frames.skipped} images skipped{lost}")
     return 0
