@@ -193,8 +193,8 @@ def test_there_are_presets_for_live_use_and_for_the_paper() -> None:
 
 
 @pytest.mark.parametrize("file", PRESETS, ids=lambda file: file.name)
-def test_every_preset_loads(file: Path) -> None:
-    load_parameters(file)
+def test_every_preset_loads_and_sets_nothing_without_effect(file: Path) -> None:
+    assert load_parameters(file).idle_changes(Parameters()) == []
 
 
 def test_the_live_preset_is_the_default() -> None:
@@ -203,7 +203,6 @@ def test_the_live_preset_is_the_default() -> None:
 
 def test_the_papers_preset_is_the_papers_method() -> None:
     paper = load_parameters(CONFIG / "paper.yaml")
-    assert paper.flow.average == "mean"
     assert paper.motion.measure == "sampson"
     assert paper.growing.similarity == "magnitude"
     assert paper.outline.method == "none"

@@ -157,3 +157,34 @@ def test_names_of_every_ros_node_belong_to_the_middleware() -> None:
     assert belongs_to_middleware("use_sim_time")
     assert belongs_to_middleware("qos_overrides./image_raw.subscription.depth")
     assert not any(belongs_to_middleware(name) for name in DECLARED)
+
+
+def test_conditions_name_parameters_and_values_that_there_are() -> None:
+    for declared in declarations():
+        for name, values in declared.used_when.items():
+            assert name != declared.name
+            assert all(DECLARED[name].check(value) == value for value in values)
+            assert set(values) < set(DECLARED[name].choices)
+
+
+def test_nothing_is_idle_that_was_changed_for_its_mode() -> None:
+    changed = Parameters.from_mapping({"refine.mode": "none", "outline.threshold": 3.0})
+    assert changed.idle_changes(Parameters()) == []
+    assert "outline.threshold" not in changed.idle(replayed=True)
+
+
+def test_every_unmet_condition_is_named() -> None:
+    values = {"outline.method": "none", "outline.threshold": 3.0}
+    assert Parameters.from_mapping(values).idle_changes(Parameters()) == [
+        "outline.threshold has no effect while outline.method is none and refine.mode is "
+        "pretrained; it is used with outline.method background and refine.mode none or optimise"
+    ]
+
+
+def test_what_only_the_node_reads_is_idle_in_a_replay() -> None:
+    assert "queue_size" not in Parameters().idle()
+    assert Parameters().idle(replayed=True)["latency.haste_from"] == (
+        "latency.haste_from has no effect here; it is used by the live node, and at 0"
+    )
+    always = Parameters.from_mapping({"latency.haste_from": 0})
+    assert "latency.haste_from" not in always.idle(replayed=True)

@@ -2,6 +2,10 @@
 
 ROS descriptors, the check of YAML files, command lines and the README's table all follow from the
 dataclasses below. A parameter's public name is its path, dots between: ``flow.interval``.
+
+Ranges hold what works. Where an end is no plain fact (a count, a fraction), it was tried on a
+short clip; values beyond it find nothing, or take background for an object, or take minutes a
+second of video.
 """
 
 from __future__ import annotations
@@ -16,6 +20,9 @@ from typing import Any, TypeVar
 Value = bool | int | float | str
 
 T = TypeVar("T")
+
+UsedWhen = Mapping[str, tuple[Value, ...]]
+"""Other parameters' names, and the values with all of which a parameter is used."""
 
 # Names every ROS node has, which are the middleware's business and not ours.
 _MIDDLEWARE_NAMES = ("use_sim_time", "qos_overrides", "start_type_description_service")
@@ -46,6 +53,19 @@ class Declaration:
     choices: tuple[str, ...] = ()
     read_only: bool = False
     extensible: bool = False
+    used_when: UsedWhen = field(default_factory=dict, hash=False)
+    node_only: bool = False
+    replayed_values: tuple[Value, ...] = ()
+
+    @property
+    def condition(self) -> str:
+        """When the parameter is used, as a sentence; empty when it always is."""
+        if self.node_only:
+            also = (
+                f"; {_either(self.replayed_values)} elsewhere too" if self.replayed_values else ""
+            )
+            return f"Used by the live node only{also}."
+        return f"Used only with {_together(self.used_when)}." if self.used_when else ""
 
     @property
     def type(self) -> type[Value]:
@@ -95,10 +115,16 @@ def parameter(
     choices: tuple[str, ...] = (),
     read_only: bool = False,
     extensible: bool = False,
+    used_when: UsedWhen | None = None,
+    node_only: bool = False,
+    replayed_values: tuple[Value, ...] = (),
 ) -> T:
     """Declare a dataclass field as a parameter.
 
     :param extensible: whether `package.module:Class` may stand in for one of the choices.
+    :param used_when: values of others without which this one has no effect.
+    :param node_only: whether only the live node reads it, no tool that replays bags.
+    :param replayed_values: of those that only the node reads, values that count in replays too.
     """
     declared: T = field(
         default=default,
@@ -110,9 +136,19 @@ def parameter(
             "choices": choices,
             "read_only": read_only,
             "extensible": extensible,
+            "used_when": used_when or {},
+            "node_only": node_only,
+            "replayed_values": replayed_values,
         },
     )
     return declared
+
+
+_RAFT: UsedWhen = {"flow.backend": ("raft_small", "raft_large")}
+_DIS: UsedWhen = {"flow.backend": ("dis",)}
+_BACKGROUND: UsedWhen = {"outline.method": ("background",)}
+_KALMAN: UsedWhen = {"tracking.mode": ("kalman",)}
+_FITTED_TO_CLIP: UsedWhen = {"refine.mode": ("optimise",)}
 
 
 @dataclass(frozen=True)
@@ -123,15 +159,17 @@ class ResolutionParameters:
         432,
         "Width at which flow and motion are computed.",
         unit="px",
-        minimum=64,
-        maximum=3840,
+        # Narrower, objects are a few pixels; wider, a second of video takes minutes.
+        minimum=128,
+        maximum=1920,
         read_only=True,
     )
     detail: int = parameter(
         864,
         "Width at which outlines are drawn, when the input is as wide.",
         unit="px",
-        minimum=64,
+        # Narrower, an outline is a few blocks. Wider than the input costs nothing.
+        minimum=128,
         maximum=3840,
         read_only=True,
     )
@@ -155,6 +193,7 @@ class LatencyParameters:
         minimum=0,
         maximum=300,
         read_only=True,
+        used_when={"latency.mode": ("centred",)},
     )
     haste_from: int = parameter(
         2,
@@ -163,6 +202,8 @@ class LatencyParameters:
         unit="frames",
         minimum=0,
         maximum=1001,
+        node_only=True,
+        replayed_values=(0,),
     )
     sparse_from: int = parameter(
         4,
@@ -171,6 +212,8 @@ class LatencyParameters:
         unit="frames",
         minimum=0,
         maximum=1001,
+        node_only=True,
+        replayed_values=(0,),
     )
 
 
@@ -191,6 +234,7 @@ class FlowParameters:
         "File with RAFT's weights, of torchvision or of RAFT's authors; empty: torchvision "
         "fetches its own.",
         read_only=True,
+        used_when=_RAFT,
     )
     interval: int = parameter(
         4,
@@ -214,12 +258,14 @@ class FlowParameters:
         choices=("slope", "mean"),
         read_only=True,
         extensible=True,
+        used_when={"motion.measure": ("affine", "none")},
     )
     variational_iterations: int = parameter(
         1,
         "Steps of DIS flow's variational refinement at each scale.",
         minimum=0,
         maximum=10,
+        used_when=_DIS,
     )
 
 
@@ -242,18 +288,25 @@ class SeedParameters:
     """Which windows of the motion map are surely moving."""
 
     size: int = parameter(
-        9, "Side D of the window, at processing resolution.", unit="px", minimum=1, maximum=99
+        9,
+        "Side D of the window, at processing resolution.",
+        unit="px",
+        minimum=1,
+        # A window that is larger than the objects is nowhere all moving, so that none is found.
+        maximum=31,
     )
     delta1: float = parameter(
         5.0,
         "Least mean of the motion map over the window, in units of its noise where nothing moves.",
-        minimum=0.0,
-        maximum=1000.0,
+        # Below the noise itself everything is a seed; few objects stand out so much as the end.
+        minimum=1.0,
+        maximum=50.0,
     )
     delta2: float = parameter(
         0.5,
         "Largest standard deviation over the window, as a fraction of its mean.",
-        minimum=0.0,
+        # With 0 no window is even enough; 10 asks for nothing.
+        minimum=0.05,
         maximum=10.0,
     )
 
@@ -272,8 +325,10 @@ class GrowingParameters:
     delta: float = parameter(
         0.6,
         "Difference from the seed that still belongs to it, as a fraction of the seed's speed.",
-        minimum=0.01,
-        maximum=1.0,
+        # Below, regions are their seeds. Towards 1 what stands still belongs to every seed, and
+        # one region takes the whole picture.
+        minimum=0.05,
+        maximum=0.8,
     )
 
 
@@ -293,6 +348,7 @@ class OutlineParameters:
         "Standard deviations from the background that make a pixel part of an object.",
         minimum=0.5,
         maximum=20.0,
+        used_when={**_BACKGROUND, "refine.mode": ("none", "optimise")},
     )
     memory: int = parameter(
         48,
@@ -301,6 +357,7 @@ class OutlineParameters:
         minimum=8,
         maximum=1000,
         read_only=True,
+        used_when=_BACKGROUND,
     )
     key_step: int = parameter(
         4,
@@ -309,6 +366,7 @@ class OutlineParameters:
         minimum=1,
         maximum=100,
         read_only=True,
+        used_when=_BACKGROUND,
     )
 
 
@@ -331,11 +389,13 @@ class RefineParameters:
         minimum=1,
         maximum=1000,
         read_only=True,
+        used_when=_FITTED_TO_CLIP,
     )
     grouping: bool = parameter(
         True,
         "Whether optimise goes on for ten epochs with masks re-grouped by 2-means.",
         read_only=True,
+        used_when=_FITTED_TO_CLIP,
     )
 
 
@@ -355,7 +415,9 @@ class TrackingParameters:
         "Frames in which something must be seen moving to become an object.",
         unit="frames",
         minimum=1,
-        maximum=100,
+        # Results wait as long.
+        maximum=30,
+        used_when=_KALMAN,
     )
     travel: float = parameter(
         1.0,
@@ -363,14 +425,18 @@ class TrackingParameters:
         "tilt.",
         unit="px",
         minimum=0.0,
-        maximum=1000.0,
+        maximum=100.0,
+        used_when=_KALMAN,
     )
     patience: int = parameter(
         30,
-        "Frames for which an object may be lost, or stand still, before it ends.",
+        "Frames for which an object may be lost, or stand still, before it ends; twice flow.every "
+        "at least.",
         unit="frames",
-        minimum=0,
+        # Between two measurements of motion, under load twice flow.every apart, all seem still.
+        minimum=8,
         maximum=100000,
+        used_when=_KALMAN,
     )
 
 
@@ -383,6 +449,7 @@ class QosParameters:
         "Reliability asked of the image's publishers; auto: reliable when every one offers it.",
         choices=("auto", "reliable", "best_effort"),
         read_only=True,
+        node_only=True,
     )
 
 
@@ -396,6 +463,7 @@ class DiagnosticsParameters:
         unit="Hz",
         minimum=0.0,
         maximum=1000.0,
+        node_only=True,
     )
     max_turbulence: float = parameter(
         0.4,
@@ -404,6 +472,7 @@ class DiagnosticsParameters:
         unit="%",
         minimum=0.0,
         maximum=100.0,
+        node_only=True,
     )
 
 
@@ -416,6 +485,7 @@ class Parameters:
         "Input topic: image_raw, or image_raw/compressed.",
         choices=("raw", "compressed"),
         read_only=True,
+        node_only=True,
     )
     queue_size: int = parameter(
         10,
@@ -424,6 +494,7 @@ class Parameters:
         minimum=1,
         maximum=1000,
         read_only=True,
+        node_only=True,
     )
     threads: int = parameter(
         2,
@@ -431,12 +502,14 @@ class Parameters:
         minimum=1,
         maximum=16,
         read_only=True,
+        used_when=_DIS,
     )
     device: str = parameter(
         "auto",
         "Where RAFT runs; auto: on the GPU if there is one.",
         choices=("auto", "cpu", "cuda"),
         read_only=True,
+        used_when=_RAFT,
     )
     max_objects: int = parameter(
         8,
@@ -491,6 +564,39 @@ class Parameters:
             changed = _with_value(changed, name.split("."), known[name].check(value))
         return changed
 
+    def idle(self, *, replayed: bool = False) -> dict[str, str]:
+        """Return the parameters that have no effect as the others stand.
+
+        Each comes with a line for people: why, and with what it is used.
+
+        :param replayed: whether a bag is replayed; what only the live node reads is idle then.
+        """
+        values = self.as_mapping()
+        choices = {declared.name: declared.choices for declared in declarations()}
+        lines = {}
+        for declared in declarations():
+            name = declared.name
+            unmet = {
+                other: wanted
+                for other, wanted in declared.used_when.items()
+                # What a class of the user's own makes of the parameter isn't known.
+                if values[other] not in wanted and values[other] in choices[other]
+            }
+            if unmet:
+                state = " and ".join(f"{other} is {values[other]}" for other in unmet)
+                use = _together(unmet)
+                lines[name] = f"{name} has no effect while {state}; it is used with {use}"
+            elif replayed and declared.node_only and values[name] not in declared.replayed_values:
+                also = declared.replayed_values
+                but = f", and at {_either(also)}" if also else ""
+                lines[name] = f"{name} has no effect here; it is used by the live node{but}"
+        return lines
+
+    def idle_changes(self, before: Parameters) -> list[str]:
+        """Return a line for each parameter that differs from `before` and has no effect."""
+        earlier, now = before.as_mapping(), self.as_mapping()
+        return [line for name, line in self.idle().items() if now[name] != earlier[name]]
+
     def as_mapping(self) -> dict[str, Value]:
         """Every parameter's value under its dotted name, in the order of declaration."""
         return {name: value for name, _, value in _walk(self)}
@@ -520,7 +626,8 @@ def markdown_table() -> str:
         else:
             limits = ""
         unit = f" {declared.unit}" if declared.unit else ""
-        description = declared.description + (" *" if not declared.read_only else "")
+        words = (declared.description, declared.condition, "" if declared.read_only else "*")
+        description = " ".join(filter(None, words))
         rows.append(f"| `{declared.name}` | {declared.default}{unit} | {limits} | {description} |")
     return "\n".join(rows)
 
@@ -543,6 +650,14 @@ def _with_value(group: Any, path: list[str], value: Value) -> Any:
 def _suggestion(name: str, known: Mapping[str, Declaration]) -> str:
     near = difflib.get_close_matches(name, known, n=1)
     return f"; did you mean {near[0]}?" if near else ""
+
+
+def _either(values: tuple[Value, ...]) -> str:
+    return " or ".join(str(value) for value in values)
+
+
+def _together(wanted: UsedWhen) -> str:
+    return " and ".join(f"{name} {_either(values)}" for name, values in wanted.items())
 
 
 def _article(kind: type[Value]) -> str:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import re
+import signal
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -24,7 +26,7 @@ from turbseg_ros.segmentation.frame import Frame, SegmentationResult
 FRAMES = 10
 STAMPS = [number * 33_000_000 for number in range(FRAMES)]
 TIMES = ("fps", "ms_p50", "ms_p95")
-SCORE_KEYS = 14
+SCORE_KEYS = 16
 
 
 class DarkAreas:
@@ -114,7 +116,7 @@ def test_ablation_changes_one_thing_at_a_time(
 def test_sensitivity_halves_and_doubles_the_methods_numbers(
     bag: Path, tmp_path: Path, made: list[Parameters], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    given = ["-p", "flow.interval:=1", "-p", "growing.delta:=1.0", "-p", "max_objects:=3"]
+    given = ["-p", "flow.interval:=1", "-p", "growing.delta:=0.8", "-p", "max_objects:=3"]
     content = evaluated(tmp_path / "out.json", bag, "--sensitivity", *given)
     rows = {row["variant"]: row for row in content["sensitivity"]}
     assert all(parameters.max_objects == 3 for parameters in made)
@@ -122,17 +124,101 @@ def test_sensitivity_halves_and_doubles_the_methods_numbers(
     changes = [row["parameters"] for row in content["sensitivity"][1:]]
     assert all(len(change) == 1 for change in changes)
     named = {name for change in changes for name in change}
-    assert {"seed.delta1", "outline.threshold", "tracking.patience"} <= named
+    assert {"seed.delta1", "tracking.patience"} <= named
+    # What changes nothing stands apart, with the reason.
+    idle = {"outline.threshold", "refine.epochs", "latency.haste_from", "latency.sparse_from"}
+    assert not idle & named
+    assert {name.split()[0] for name in content["sensitivity_idle"]} == idle
+    assert content["sensitivity_idle"]["outline.threshold 5.0"] == (
+        "outline.threshold has no effect while refine.mode is pretrained; "
+        "it is used with refine.mode none or optimise"
+    )
     assert not [name for name in named if name.split(".")[0] in ("qos", "diagnostics")]
     assert {"queue_size", "max_objects", "motion.measure"}.isdisjoint(named)
-    # Half of an interval of 1 rounds to 0, which the range makes 1 again; a delta is 1 at most.
+    # Half of an interval of 1 rounds to 0, which the range makes 1 again; a delta is 0.8 at most.
     assert [change for change in changes if "flow.interval" in change] == [{"flow.interval": 2}]
-    assert [change for change in changes if "growing.delta" in change] == [{"growing.delta": 0.5}]
+    assert [change for change in changes if "growing.delta" in change] == [{"growing.delta": 0.4}]
     assert {"seed.size": 4} in changes
     assert {"seed.delta1": 10.0} in changes
     # This method sees a row less with each interval.
     assert rows["flow.interval 2"]["mean"]["j"] < rows["as configured"]["mean"]["j"]
-    assert "\nflow.interval 2 " in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "\nflow.interval 2 " in printed
+    assert printed.count("\nnot run: outline.threshold has no effect while") == 1
+
+
+def test_sensitivity_runs_what_the_mode_uses(bag: Path, tmp_path: Path) -> None:
+    content = evaluated(tmp_path / "out.json", bag, "--sensitivity", "-p", "refine.mode:=none")
+    named = {name for row in content["sensitivity"][1:] for name in row["parameters"]}
+    assert "outline.threshold" in named
+    assert "refine.epochs" not in named
+
+
+def test_an_ablation_that_changes_nothing_is_not_run(bag: Path, tmp_path: Path) -> None:
+    given = ["--ablation", "-p", "motion.measure:=sampson"]
+    content = evaluated(tmp_path / "out.json", bag, *given)
+    assert list(content["ablation_idle"]) == ["mean flow (eq. 1)"]
+    assert "mean flow (eq. 1)" not in [row["variant"] for row in content["ablation"]]
+
+
+def test_what_is_ahead_is_said(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    evaluated(tmp_path / "out.json", bag, "--ablation")
+    said = capsys.readouterr().err.splitlines()
+    assert said[0] == f"turbseg_evaluate: {len(VARIANTS) - 1} runs ahead, 1 at a time"
+    assert re.fullmatch(
+        rf"turbseg_evaluate: {len(VARIANTS) - 3} runs are left, about \d+ (s|min)", said[1]
+    )
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_evaluation_keeps_the_runs_that_are_done(
+    number: signal.Signals,
+    bag: Path,
+    tmp_path: Path,
+    made: list[Parameters],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    class Interrupting(DarkAreas):
+        def push(self, frame: Frame) -> list[SegmentationResult]:
+            if len(made) == 4:
+                signal.raise_signal(number)
+            return super().push(frame)
+
+    monkeypatch.setattr(baselines, "clip_segmenter", Interrupting)
+    report = tmp_path / "report"
+    arguments = [bag, "--ablation", "--report", report]
+    content = evaluated(tmp_path / "out.json", *arguments, status=128 + number)
+    partial = f"interrupted after 3 of {len(VARIANTS) - 1} runs"
+    assert content["partial"] == partial
+    done = [*list(VARIANTS)[:3], "interval 4"]
+    assert [row["variant"] for row in content["ablation"]] == done
+    assert content["bags"][0]["j"] is not None
+    assert f"Partial: {partial}" in (report / "index.html").read_text()
+    printed = capsys.readouterr()
+    assert f"turbseg_evaluate: {partial}; what is done is kept\n" in printed.err
+    assert "\ninterval 2 " in printed.out
+    assert "\ninterval 5 " not in printed.out
+
+
+def test_an_evaluation_interrupted_in_its_first_run_writes_nothing(
+    bag: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    class Interrupting(DarkAreas):
+        def push(self, frame: Frame) -> list[SegmentationResult]:
+            signal.raise_signal(signal.SIGINT)
+            return super().push(frame)
+
+    monkeypatch.setattr(baselines, "clip_segmenter", Interrupting)
+    file = tmp_path / "out.json"
+    assert main([str(bag), "--workers", "1", "--json", str(file)]) == 130
+    assert not file.exists()
+    assert "interrupted after 0 of 1 runs; nothing to keep" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("curve", ["tilt", "shake"])
@@ -224,7 +310,8 @@ def test_without_any_scores_nothing_is_written(
     assert main([*arguments, "--ablation", "--workers", "1"]) == 1
     assert not file.exists()
     assert not list(report.iterdir())
-    assert capsys.readouterr().err.count("\n") == 1
+    said = [line for line in capsys.readouterr().err.splitlines() if "runs ahead" not in line]
+    assert len(said) == 1
 
 
 @pytest.mark.parametrize(

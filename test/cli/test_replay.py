@@ -3,21 +3,28 @@
 from __future__ import annotations
 
 import json
+import signal
+import threading
+import time
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import FrameType
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+import yaml
 from rosbags.highlevel import AnyReader
 from visualization_msgs.msg import ImageMarker
 
 from turbseg_ros.bag.reader import BagReader
 from turbseg_ros.bag.topics import IMAGE_TOPIC, LABELS_TOPIC, TRUTH_TOPIC
 from turbseg_ros.bag.writer import BagWriter
-from turbseg_ros.cli import evaluate, replay
+from turbseg_ros.cli import errors, evaluate, replay
+from turbseg_ros.cli.errors import StopRequest
 from turbseg_ros.evaluation import baselines
 from turbseg_ros.evaluation.labels import read_labels
 from turbseg_ros.messages.images import message_from_image
@@ -27,6 +34,7 @@ from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResu
 
 SIZE = (60, 90)
 STEP = 33_000_000
+TIME_LIMIT = 20
 START = 1_700_000_000_000_000_000
 
 
@@ -313,3 +321,126 @@ def test_recorded_labels_are_scored_against_the_truth_of_their_source(
 def test_recorded_labels_belong_to_one_bag(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert evaluate.main([str(bag), str(bag), "--predictions", str(bag)]) == 2
     assert "--predictions are those of one BAG" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_replay_keeps_the_results_there_are(
+    number: signal.Signals,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    class Interrupting(SquareFinder):
+        def push(self, frame: Frame) -> list[SegmentationResult]:
+            if frame.stamp == START + 10 * STEP:
+                # As from a terminal: to the thread that the handler runs in.
+                main_thread = threading.main_thread().ident
+                assert main_thread is not None
+                signal.pthread_kill(main_thread, number)
+            return super().push(frame)
+
+    monkeypatch.setattr(replay, "clip_segmenter", lambda p, _: Interrupting(p))
+    source, out = write_bag(tmp_path / "long", frames=60), tmp_path / "out"
+    strip = tmp_path / "strip.png"
+    arguments = [str(source), "-o", str(out), "--overlay", str(strip)]
+    assert replay.main(arguments) == 128 + number
+    stamps = [labels.stamp for labels in read_labels(BagReader(out), LABELS_TOPIC)]
+    # Every frame that was read got its result.
+    assert stamps == [START + n * STEP for n in range(len(stamps))]
+    assert 10 < len(stamps) < 60
+    partial = f"interrupted after {len(stamps)} of 60 frames"
+    metadata = yaml.safe_load((out / "metadata.yaml").read_text())
+    assert metadata["rosbag2_bagfile_information"]["custom_data"] == {"partial": partial}
+    with AnyReader([out]) as reader:
+        assert reader.message_count > len(stamps)
+    assert capsys.readouterr().err == f"turbseg_replay: {out} is partial: {partial}\n"
+    assert strip.exists()
+
+
+def test_a_replay_interrupted_twice_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    class Interrupting(SquareFinder):
+        def flush(self) -> list[SegmentationResult]:
+            main_thread = threading.main_thread().ident
+            assert main_thread is not None
+            for _ in range(2):
+                signal.pthread_kill(main_thread, signal.SIGINT)
+                answered.wait(TIME_LIMIT)
+            return super().flush()
+
+    class Answered(StopRequest):
+        def note(self, number: int, frame: FrameType | None) -> None:
+            answered.set()
+            super().note(number, frame)
+
+    answered = threading.Event()
+    monkeypatch.setattr(errors, "StopRequest", Answered)
+    monkeypatch.setattr(replay, "clip_segmenter", lambda p, _: Interrupting(p))
+    source, out = write_bag(tmp_path / "bag"), tmp_path / "out"
+    with pytest.raises(SystemExit) as ended:
+        replay.main([str(source), "-o", str(out)])
+    assert ended.value.code == 130
+    assert not out.exists()
+    assert capsys.readouterr().err.endswith("interrupted; nothing of it is kept\n")
+
+
+def test_a_network_fitted_to_the_clip_is_given_up_between_epochs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    class Fitting(SquareFinder):
+        def __init__(self, parameters: Parameters, shown: Any) -> None:
+            super().__init__(parameters)
+            self._shown = shown
+
+        def flush(self) -> list[SegmentationResult]:
+            for epoch in self._shown(range(1000)):
+                assert epoch < 999
+                main_thread = threading.main_thread().ident
+                assert main_thread is not None
+                signal.pthread_kill(main_thread, signal.SIGINT)
+                time.sleep(0.01)
+            return super().flush()
+
+    monkeypatch.setattr(replay, "clip_segmenter", Fitting)
+    # Only the first signal is one: a second would interrupt by itself.
+    monkeypatch.setattr(
+        errors.StopRequest, "note", lambda self, n, _: setattr(self, "_received", n)
+    )
+    source, out = write_bag(tmp_path / "bag"), tmp_path / "out"
+    with pytest.raises(SystemExit) as ended:
+        replay.main([str(source), "-o", str(out)])
+    assert ended.value.code == 130
+    assert not out.exists()
+    assert "turbseg_replay: interrupted; nothing of it is kept\n" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (
+            ["-p", "outline.threshold:=3.5"],
+            "outline.threshold has no effect while refine.mode is pretrained; "
+            "it is used with refine.mode none or optimise",
+        ),
+        (["-p", "queue_size:=3"], "queue_size has no effect here; it is used by the live node"),
+        (["-p", "latency.haste_from:=0"], ""),
+        (["-p", "outline.threshold:=3.5", "-p", "refine.mode:=none"], ""),
+    ],
+)
+def test_a_parameter_without_effect_says_so(
+    given: list[str], said: str, bag: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert replay.main([str(bag), "-o", str(tmp_path / "out"), *given]) == 0
+    assert capfd.readouterr().err.strip() == said
+
+
+def test_of_a_nodes_file_only_what_its_own_mode_leaves_idle_is_said(
+    bag: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "node.yaml"
+    parameters = {"queue_size": 3, "outline.threshold": 3.5, "seed.delta1": 6.0}
+    file.write_text(json.dumps({"/**": {"ros__parameters": parameters}}))
+    assert replay.main([str(bag), "-o", str(tmp_path / "out"), "--params-file", str(file)]) == 0
+    (line,) = capfd.readouterr().err.splitlines()
+    assert line.startswith("outline.threshold has no effect while refine.mode is pretrained")

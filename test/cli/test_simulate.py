@@ -1,7 +1,10 @@
 from __future__ import annotations
 
+import itertools
+import signal
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,6 +12,7 @@ from sensor_msgs.msg import CameraInfo
 
 from turbseg_ros.bag.reader import BagReader
 from turbseg_ros.bag.writer import BagWriter
+from turbseg_ros.cli import simulate
 from turbseg_ros.cli.simulate import main
 from turbseg_ros.messages.images import image_from_message, message_from_image, stamp_to_ns
 from turbseg_ros.simulation.objects import Path as Way
@@ -147,3 +151,41 @@ def test_a_mistake_is_answered_by_one_line(
     assert complaint in error
     assert error.count("\n") == 1
     assert not list(tmp_path.iterdir())
+
+
+def interrupted_at(call: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let SIGINT come while the call-th image is made a message."""
+    calls = itertools.count(1)
+
+    def interrupting(*arguments: Any) -> Any:
+        if next(calls) == call:
+            signal.raise_signal(signal.SIGINT)
+        return message_from_image(*arguments)
+
+    monkeypatch.setattr(simulate, "message_from_image", interrupting)
+
+
+def test_an_interrupted_rendering_keeps_the_frames_there_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    interrupted_at(3, monkeypatch)
+    out = tmp_path / "scenes"
+    assert main(["--scene", "all", "-o", str(out)]) == 130
+    (path,) = out.iterdir()
+    assert len(contents(path, "/camera/image_raw")) == 2
+    assert "interrupted after 2 of" in (path / "metadata.yaml").read_text()
+    error = capsys.readouterr().err
+    assert f"turbseg_simulate: {path} is partial: interrupted after 2 of" in error
+    assert f"{len(SCENES) - 1} of {len(SCENES)} scenes were not begun" in error
+
+
+def test_an_interrupted_warp_keeps_the_frames_there_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    own_bag(tmp_path / "own", truth=False)
+    interrupted_at(2, monkeypatch)
+    arguments = ["--warp", str(tmp_path / "own"), "--tilt", "1", "-o", str(tmp_path / "out")]
+    assert main(arguments) == 130
+    partial = "interrupted after 2 of"
+    assert partial in (tmp_path / "out" / "metadata.yaml").read_text()
+    assert partial in capsys.readouterr().err

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import signal
 from pathlib import Path
 
 import cv2
@@ -11,6 +12,7 @@ from hypothesis.extra import numpy as hnp
 
 from turbseg_ros.bag.errors import ClipError
 from turbseg_ros.bag.reader import BagReader
+from turbseg_ros.cli import import_
 from turbseg_ros.cli.import_ import main
 from turbseg_ros.datasets.masks import mask_meaning
 from turbseg_ros.messages.images import image_from_message, stamp_to_ns
@@ -318,3 +320,24 @@ def test_frames_that_no_encoding_stores_are_refused(tmp_path, capsys):
     complaint = refusal(capsys, frames, tmp_path / "out" / "bag")
     assert "no encoding stores float64 images" in complaint
     assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_an_interrupted_import_keeps_the_frames_there_are(tmp_path, capsys, monkeypatch):
+    frames = save(tmp_path / "clip", grey_frames(9))
+    make = import_._message
+    made = []
+
+    def interrupting(image, stamp):
+        made.append(stamp)
+        if len(made) == 4:
+            signal.raise_signal(signal.SIGTERM)
+        return make(image, stamp)
+
+    monkeypatch.setattr(import_, "_message", interrupting)
+    assert main([str(frames), str(tmp_path / "bag")]) == 128 + signal.SIGTERM
+    stamps, _, _ = imported(tmp_path / "bag")
+    assert len(stamps) == 4
+    partial = "interrupted after 4 of 9 frames"
+    assert partial in (tmp_path / "bag" / "metadata.yaml").read_text()
+    error = capsys.readouterr().err
+    assert error == f"turbseg_import: {tmp_path / 'bag'} is partial: {partial}\n"

@@ -146,7 +146,6 @@ def test_the_paper_is_the_method_with_the_papers_parameters() -> None:
     (paper,) = baselines(["paper"])
     assert isinstance(paper, TurbsegMethod)
     values = paper.parameters.as_mapping()
-    assert values["flow.average"] == "mean"
     assert values["motion.measure"] == "sampson"
     assert values["growing.similarity"] == "magnitude"
     assert values["outline.method"] == "none"

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import signal
 import sys
 from dataclasses import dataclass
 
@@ -12,7 +13,10 @@ from support.drawn_scene import DrawnScene
 from turbseg_ros.cli import benchmark as executable
 from turbseg_ros.evaluation.baselines import BackgroundSubtraction, TurbsegMethod
 from turbseg_ros.evaluation.benchmark import (
+    Cost,
+    Footprint,
     StageClock,
+    Timing,
     endless,
     footprint,
     measure,
@@ -130,3 +134,24 @@ def test_the_executable_refuses_what_makes_no_sense(arguments, capsys):
 def test_the_executable_refuses_a_crowd(count, capsys):
     assert executable.main(["--objects", count]) == 2
     assert count in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_benchmark_keeps_the_sizes_that_are_done(
+    number, monkeypatch, tmp_path, capsys
+):
+    def case(clip, size, *_):
+        if size == (128, 96):
+            signal.raise_signal(number)
+        cost = Cost(1.0, 1.0, 1.0, 1.0)
+        return Timing(size, {"turbseg": cost}, cost, {}), Footprint(1.0, 1.0, 1.0)
+
+    monkeypatch.setattr(executable, "render", lambda *_: iter([Rendered(np.zeros((4, 4)))]))
+    monkeypatch.setattr(executable, "_case", case)
+    file = tmp_path / "figures.json"
+    arguments = ["--sizes", "64x64,128x96,256x192", "--baselines", "", "--json", str(file)]
+    assert executable.main(arguments) == 128 + number
+    content = json.loads(file.read_text())
+    assert [each["size"] for each in content["cases"]] == [[64, 64]]
+    assert content["partial"] == "interrupted after 1 of 3 sizes"
+    assert capsys.readouterr().err == f"turbseg_benchmark: {content['partial']}\n"

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -131,3 +133,33 @@ def test_dask_and_jinja_are_imported_only_when_needed() -> None:
         [sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=True
     )
     assert result.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("workers", ["1", "2"])
+def test_an_interrupted_process_keeps_what_its_workers_have_done(
+    workers: str, bags: list[Path], tmp_path: Path
+) -> None:
+    file = tmp_path / "scores.json"
+    words = [*map(str, bags), "--sensitivity", *GIVEN, "--workers", workers, "--json", str(file)]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "turbseg_ros.cli", "evaluate", *words],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    try:
+        assert process.stderr is not None
+        # Said when the first runs are done.
+        while "runs are left" not in process.stderr.readline():
+            assert process.poll() is None
+        os.killpg(process.pid, signal.SIGINT)
+        _, errors = process.communicate(timeout=60)
+    finally:
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGKILL)
+    assert process.returncode == 130
+    content = json.loads(file.read_text())
+    assert [scores["bag"] for scores in content["bags"]] == [str(bag) for bag in bags]
+    assert content["partial"] in errors
+    assert "Traceback" not in errors

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,10 +13,14 @@ from scipy import ndimage
 
 from turbseg_ros.evaluation.metrics import (
     IdSwitchCounter,
+    ObjectJaccard,
     boundary_f,
+    count_false_objects,
     dice,
     foreground_fraction,
     jaccard,
+    object_overlaps,
+    true_components,
 )
 
 MASKS = hnp.arrays(np.bool_, st.tuples(st.integers(1, 30), st.integers(1, 30)))
@@ -114,7 +120,7 @@ def test_foreground_fraction_is_a_share_of_the_image() -> None:
 def switches(*frames: tuple[np.ndarray, np.ndarray]) -> int | None:
     counter = IdSwitchCounter()
     for prediction, truth in frames:
-        counter.add(prediction, truth)
+        counter.add(object_overlaps(prediction, truth))
     return counter.switches
 
 
@@ -152,3 +158,90 @@ def test_a_stray_prediction_is_no_partner() -> None:
 def test_union_truth_leaves_switches_unknown() -> None:
     truth = square(10, 10, 20, value=255).astype(np.uint8)
     assert switches((square(10, 10, 20, value=3), truth)) is None
+
+
+def false_objects(prediction: np.ndarray, truth: np.ndarray) -> int:
+    return count_false_objects(object_overlaps(prediction, truth))
+
+
+def test_an_object_beside_a_true_one_is_false() -> None:
+    truth = square(10, 10, 20)
+    stray = square(60, 60, 8, value=2)
+    assert false_objects(truth, truth) == 0
+    assert false_objects(truth + stray, truth) == 1
+    assert false_objects(truth + stray, np.zeros_like(truth)) == 2
+
+
+def test_a_fragment_and_a_loose_outline_are_not_false() -> None:
+    truth = square(10, 10, 20)
+    fragment = square(12, 12, 5)
+    # Twice as wide and as high: a quarter of it is true, which is an IoU of a quarter.
+    loose = square(0, 0, 40)
+    assert (false_objects(fragment, truth), false_objects(loose, truth)) == (0, 0)
+    # Three times: a ninth.
+    assert false_objects(square(0, 0, 60), truth) == 1
+
+
+def test_in_a_union_each_connected_part_is_a_true_object() -> None:
+    small, large = square(5, 5, 6, value=255), square(40, 40, 40, value=255)
+    truth = small + large
+    # Loose around the small one: an IoU of a quarter with it, next to nothing with the union.
+    loose = square(2, 2, 12)
+    assert false_objects(loose, truth) == 1
+    assert false_objects(loose, true_components(truth)) == 0
+    assert sorted(np.unique(true_components(truth))) == [0, 1, 2]
+
+
+def by_object(*frames: tuple[np.ndarray, np.ndarray]) -> dict[int, float] | None:
+    scored = ObjectJaccard()
+    for prediction, truth in frames:
+        scored.add(object_overlaps(prediction, truth))
+    return scored.by_object
+
+
+def test_pixels_stolen_from_a_neighbour_count_though_the_union_is_right() -> None:
+    truth = square(10, 10, 20) + square(30, 10, 20, value=2)
+    stolen = truth.copy()
+    stolen[10:30, 20:30] = 2
+    assert jaccard(stolen, truth) == 1.0
+    assert by_object((stolen, truth)) == pytest.approx({1: 0.5, 2: 20 / 30})
+
+
+def test_each_true_object_has_one_label_for_the_whole_sequence() -> None:
+    truth = square(10, 10, 20)
+    assert by_object((truth * 5, truth), (truth * 5, truth), (truth * 6, truth)) == pytest.approx(
+        {1: 2 / 3}
+    )
+    # One label can't stand for two.
+    both = square(10, 10, 20) + square(30, 10, 20, value=2)
+    assert by_object(((both != 0).astype(np.uint8), both)) == pytest.approx({1: 0.5, 2: 0.0})
+
+
+def test_an_object_is_scored_over_the_frames_in_which_it_exists() -> None:
+    truth = square(10, 10, 20)
+    nothing = np.zeros_like(truth)
+    assert by_object((truth, nothing), (truth, truth), (nothing, truth)) == {1: 0.5}
+
+
+def test_without_objects_to_tell_apart_there_is_no_score_by_object() -> None:
+    union = square(10, 10, 20, value=255)
+    assert by_object((union, union)) is None
+    assert by_object((union, np.zeros_like(union))) is None
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+def test_the_labels_are_assigned_for_the_best_mean(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    frames = [tuple(random.integers(0, 4, (2, 6, 6))) for _ in range(3)]
+    scored = by_object(*frames)
+    means = np.zeros((3, 3))
+    for true_id, predicted_id in itertools.product(range(1, 4), range(1, 4)):
+        there = [(p == predicted_id, t == true_id) for p, t in frames if (t == true_id).any()]
+        if there:
+            means[true_id - 1, predicted_id - 1] = np.mean([jaccard(p, t) for p, t in there])
+    best = max(
+        sum(means[row, column] for row, column in enumerate(order))
+        for order in itertools.permutations(range(3))
+    )
+    assert scored is not None
+    assert sum(scored.values()) == pytest.approx(best)

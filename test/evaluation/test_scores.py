@@ -27,8 +27,10 @@ KEYS = [
     "dice",
     "g",
     "boundary_f",
+    "j_object",
     "false_alarm_frames",
     "false_alarm_area",
+    "false_objects",
     "id_switches",
     "fps",
     "ms_p50",
@@ -68,6 +70,34 @@ def test_alarms_are_counted_in_frames_without_an_object() -> None:
     assert scores.false_alarm_frames == 1
     assert scores.false_alarm_area == pytest.approx(0.05 / 2)
     assert scores.j == 1.0
+
+
+def test_false_objects_are_counted_in_every_frame_with_truth() -> None:
+    stray = OBJECT.copy()
+    stray[30:35, 30:35] = 2
+    scores = scored((stray, OBJECT), (stray, EMPTY), (OBJECT, OBJECT))
+    assert scores.false_objects == pytest.approx((1 + 2 + 0) / 3)
+    # Frames with a true object are no alarms: they were not counted at all.
+    assert scores.false_alarm_frames == 1
+
+
+def test_a_union_truth_counts_false_objects_and_no_scores_by_object() -> None:
+    union = (OBJECT * 255).astype(np.uint16)
+    stray = OBJECT.copy()
+    stray[30:35, 30:35] = 2
+    scores = scored((stray, union))
+    assert (scores.false_objects, scores.j_object) == (1.0, None)
+
+
+def test_objects_that_steal_each_others_pixels_lower_the_score_by_object_only() -> None:
+    truth = OBJECT.copy()
+    truth[10:20, 20:30] = 2
+    stolen = truth.copy()
+    stolen[10:20, 15:20] = 2
+    scores = scored((stolen, truth))
+    assert scores.j == 1.0
+    assert scores.j_object == pytest.approx((0.5 + 2 / 3) / 2)
+    assert scores.without_ids().j_object is None
 
 
 def test_what_cannot_be_told_is_none() -> None:

@@ -33,7 +33,7 @@ from turbseg_ros.nodes.worker import SegmentationWorker
 from turbseg_ros.parameters import Parameters
 from turbseg_ros.segmentation.frame import Frame, SegmentationResult
 
-PARAMETERS = Parameters.from_mapping({"resolution.processing": 64, "resolution.detail": 64})
+PARAMETERS = Parameters.from_mapping({"resolution.processing": 128, "resolution.detail": 128})
 ENCODINGS = (
     *("mono8", "8UC1", "mono16", "16UC1", "32FC1", "bgr8", "rgb8", "bgra8", "rgba8"),
     *("bgr16", "rgb16", "bgra16", "rgba16", "yuv422", "uyvy", "yuv422_yuy2", "yuyv"),

@@ -147,3 +147,34 @@ def test_a_change_to_the_same_value_is_none(start):
     (result,) = node.set_parameters([RosParameter(LIVE_FLOAT, value=0.0)])
     assert result.successful
     assert seen == []
+
+
+IDLE_LINE = (
+    "outline.threshold has no effect while refine.mode is pretrained; "
+    "it is used with refine.mode none or optimise"
+)
+
+
+def test_a_value_at_start_that_has_no_effect_is_warned_about(start, capfd):
+    start("-p", "outline.threshold:=3.5")
+    assert IDLE_LINE in capfd.readouterr().err
+
+
+def test_a_change_that_has_no_effect_is_warned_about(start, capfd):
+    node, handler, _ = start()
+    assert "no effect" not in capfd.readouterr().err
+    node.set_parameters([RosParameter("outline.threshold", value=3.5)])
+    assert handler.current.outline.threshold == 3.5
+    assert IDLE_LINE in capfd.readouterr().err
+
+
+def test_nothing_is_said_of_what_has_an_effect(start, capfd):
+    start("-p", "refine.mode:=none", "-p", "outline.threshold:=3.5", "-p", "queue_size:=4")
+    assert "no effect" not in capfd.readouterr().err
+
+
+def test_a_condition_is_described():
+    described = {each.name: descriptor_of(each).description for each in declarations()}
+    condition = "Used only with outline.method background and refine.mode none or optimise."
+    assert described["outline.threshold"].endswith(condition)
+    assert described["queue_size"].endswith("Used by the live node only.")

@@ -470,7 +470,7 @@ def test_two_nodes_in_namespaces_each_take_their_part_of_one_file(tmp_path, prob
 
 
 def test_a_slot_goes_to_the_next_object_when_its_own_has_ended(tmp_path, probe):
-    arguments = (*ARGUMENTS, "-r", "__ns:=/slots", "-p", "tracking.patience:=3")
+    arguments = (*ARGUMENTS, "-r", "__ns:=/slots", "-p", "tracking.patience:=8")
     with NodeProcess(tmp_path / "output", *arguments) as node:
         labels = probe.listen("/slots/turbseg/labels", Image)
         slots = probe.listen("/slots/turbseg/objects/slot_0/mask", Image)

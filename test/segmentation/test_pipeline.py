@@ -247,7 +247,7 @@ def test_results_carry_their_frames(results: list[SegmentationResult]) -> None:
 @pytest.mark.parametrize("count", [1, 2, 5, 9, 30])
 @pytest.mark.parametrize("mode", ["centred", "causal"])
 def test_every_frame_gets_one_result_in_order(count: int, mode: str) -> None:
-    parameters = PARAMETERS.replace({"latency.mode": mode, "resolution.processing": 64})
+    parameters = PARAMETERS.replace({"latency.mode": mode, "resolution.processing": 128})
     found = segmented(CLIP[:count], parameters)
     assert stamps(found) == list(range(count))
     assert_sound(found)
@@ -255,7 +255,7 @@ def test_every_frame_gets_one_result_in_order(count: int, mode: str) -> None:
 
 @pytest.mark.parametrize("mode", ["centred", "causal"])
 def test_frames_wait_for_the_announced_look_ahead(mode: str) -> None:
-    chosen = {"latency.mode": mode, "latency.warm_up": 0, "resolution.processing": 64}
+    chosen = {"latency.mode": mode, "latency.warm_up": 0, "resolution.processing": 128}
     segmenter = segmenter_by_rules(PARAMETERS.replace(chosen))
     # Neighbours, those of the frame measured next, and the frames until an object is
     # confirmed, which it is where motion is measured.
@@ -369,7 +369,7 @@ def test_ids_go_on_after_a_reset_and_other_parameters() -> None:
 def test_other_parameters_are_followed() -> None:
     segmenter = segmenter_by_rules(PARAMETERS)
     pushed(segmenter)
-    segmenter.reconfigure(PARAMETERS.replace({"seed.delta1": 1000.0}))
+    segmenter.reconfigure(PARAMETERS.replace({"tracking.travel": 100.0}))
     assert not ids(pushed(segmenter) + segmenter.flush())
 
 
@@ -437,7 +437,7 @@ def test_pictures_that_show_nothing_give_no_objects_and_no_nonsense(clip: list) 
 @pytest.mark.parametrize("shape", [(16, 16), (20, 200), (200, 20), (65, 97)], ids=str)
 def test_any_shape_of_picture_is_answered(shape: tuple[int, int]) -> None:
     images = [np.roll(texture(shape, seed=1), k, axis=1) for k in range(10)]
-    found = segmented(images, PARAMETERS.replace({"resolution.processing": 64}))
+    found = segmented(images, PARAMETERS.replace({"resolution.processing": 128}))
     assert stamps(found) == list(range(10))
     assert_sound(found)
 

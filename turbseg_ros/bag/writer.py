@@ -53,6 +53,7 @@ class BagWriter:
         self._schema_ids: dict[str, int] = {}
         self._first_stamp: int | None = None
         self._last_stamp = 0
+        self._partial_reason = ""
 
     def __enter__(self) -> BagWriter:
         self._refuse_existing()
@@ -105,6 +106,10 @@ class BagWriter:
     def write(self, topic: str, message: object, stamp_ns: int) -> None:
         """Append a ROS message, recorded at `stamp_ns` (nanoseconds since the epoch)."""
         self.write_serialized(topic, type_name_of(message), serialised(message), stamp_ns)
+
+    def mark_partial(self, reason: str) -> None:
+        """Note in `metadata.yaml`, as custom data under `partial`, that something is missing."""
+        self._partial_reason = reason
 
     def write_serialized(self, topic: str, type_name: str, cdr: bytes, stamp_ns: int) -> None:
         """Append a message that is serialized as CDR already, encapsulation header included.
@@ -180,7 +185,7 @@ class BagWriter:
             "compression_mode": "",
             "relative_file_paths": [self._file_name],
             "files": [{"path": self._file_name, **extent}],
-            "custom_data": None,
+            "custom_data": {"partial": self._partial_reason} if self._partial_reason else None,
             "ros_distro": _ROS_DISTRO,
         }
 

@@ -8,13 +8,15 @@ import itertools
 import json
 import os
 import platform
+import sys
 from collections.abc import Iterator, Sequence
 from typing import Any
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
-from turbseg_ros.cli.errors import UsageError, executable
+from turbseg_ros.cli.errors import Interrupted, UsageError, executable, interrupted_after
 from turbseg_ros.cli.options import (
     parameters_from,
     with_progress,
@@ -68,18 +70,42 @@ def main(arguments: Sequence[str] | None = None) -> int:
         rendered.image
         for rendered in with_progress(render(scene, _SEED), "rendering", total=scene.frames)
     ]
-    cases = []
-    for size in options.sizes:
-        count = _WARM_UP + options.frames
-        frames = itertools.islice(endless(clip, size, _RATE_HZ), count)
-        title = f"{size[0]}x{size[1]}"
-        timing = measure(methods, with_progress(frames, title, total=count), _WARM_UP, size)
-        needs = footprint(parameters, itertools.islice(endless(clip, size, _RATE_HZ), count))
-        print("", *_table(timing, needs, options), sep="\n", flush=True)
-        cases.append((timing, needs))
-    if options.json is not None:
-        options.json.write_text(json.dumps(_report(cases, options, parameters), indent=2) + "\n")
-    return 0
+    cases: list[tuple[Timing, Footprint]] = []
+    status = 0
+    try:
+        for size in options.sizes:
+            cases.append(_case(clip, size, methods, parameters, options.frames))
+            print("", *_table(*cases[-1], options), sep="\n", flush=True)
+    except Interrupted as interrupted:
+        if not isinstance(interrupted.code, int):
+            raise
+        status = interrupted.code
+        partial = interrupted_after(len(cases), len(options.sizes), "sizes")
+        print(f"turbseg_benchmark: {partial}", file=sys.stderr)
+    if options.json is not None and cases:
+        report = _report(cases, options, parameters)
+        if status:
+            report["partial"] = partial
+        options.json.write_text(json.dumps(report, indent=2) + "\n")
+    return status
+
+
+def _case(
+    clip: Sequence[npt.NDArray[np.uint8]],
+    size: tuple[int, int],
+    methods: Sequence[Method],
+    parameters: Parameters,
+    frames: int,
+) -> tuple[Timing, Footprint]:
+    """Time `frames` frames of one size, and see what they need."""
+    count = _WARM_UP + frames
+    title = f"{size[0]}x{size[1]}"
+    shown = with_progress(
+        itertools.islice(endless(clip, size, _RATE_HZ), count), title, total=count
+    )
+    timing = measure(methods, shown, _WARM_UP, size)
+    needs = footprint(parameters, itertools.islice(endless(clip, size, _RATE_HZ), count))
+    return timing, needs
 
 
 def _methods(baselines: Sequence[str], parameters: Parameters) -> list[Method]:

@@ -12,7 +12,7 @@ import signal
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from types import FrameType
-from typing import NoReturn, Protocol
+from typing import NoReturn, Protocol, TypeVar
 
 from turbseg_ros.bag.errors import BagError
 from turbseg_ros.dependencies import what_is_missing
@@ -20,6 +20,8 @@ from turbseg_ros.parameters import ParameterError
 
 _REFUSED = 2  # as argparse ends
 _STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+T = TypeVar("T")
 
 SignalHandler = Callable[[int, FrameType | None], object]
 
@@ -52,6 +54,74 @@ def signals_answered_by(handler: SignalHandler, numbers: Iterable[int]) -> Itera
         for number, earlier in before.items():
             if signal.getsignal(number) is handler:
                 signal.signal(number, earlier)
+
+
+class StopRequest:
+    """Whether SIGINT or SIGTERM asked a long job to end with what it has done so far.
+
+    The job takes its work from `until_stopped`, and tells by `cut` whether some of it is missing.
+    """
+
+    def __init__(self) -> None:
+        self._received: int | None = None
+        self.cut = False
+
+    @property
+    def received(self) -> bool:
+        """Whether a signal came."""
+        return self._received is not None
+
+    @property
+    def status(self) -> int:
+        """The exit status of a job that was cut, as a shell's; 0 of one that was not."""
+        return 128 + self._received if self.cut and self._received is not None else 0
+
+    def note(self, number: int, frame: FrameType | None) -> None:
+        """Take note of a signal, as its handler; a second one interrupts what goes on.
+
+        :raises Interrupted: the second time.
+        """
+        if self._received is not None:
+            _interrupt(number, frame)
+        self._received = number
+
+    def until_stopped(self, items: Iterable[T]) -> Iterator[T]:
+        """Hand items on until a signal comes."""
+        for item in items:
+            if self._received is not None:
+                self.cut = True
+                return
+            yield item
+
+    def check(self) -> None:
+        """Go on unless a signal came: for work of which a part is worth nothing.
+
+        :raises Interrupted: when one came.
+        """
+        if self._received is not None:
+            raise Interrupted(128 + self._received)
+
+
+@contextlib.contextmanager
+def stopping_at_signals(name: str) -> Iterator[StopRequest]:
+    """Let the first SIGINT or SIGTERM end a job early, for the time of a `with` statement.
+
+    When it is interrupted all the same, so that nothing of it is kept, the executable `name` says
+    so.
+    """
+    request = StopRequest()
+    with signals_answered_by(request.note, _STOP_SIGNALS):
+        try:
+            yield request
+        except Interrupted:
+            print(f"{name}: interrupted; nothing of it is kept", file=sys.stderr)
+            raise
+
+
+def interrupted_after(done: int, total: int | None, unit: str = "frames") -> str:
+    """Return what marks something partial: how much was done, of how much where that is known."""
+    of = "" if total is None else f" of {total}"
+    return f"interrupted after {done}{of} {unit}"
 
 
 def executable(name: str) -> Callable[[Main], Main]:

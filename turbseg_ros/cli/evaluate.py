@@ -9,12 +9,13 @@ import importlib.util
 import os
 import shlex
 import sys
+import time
 from collections.abc import Iterable, Iterator, Sequence
 
 from tqdm import tqdm
 
 from turbseg_ros.bag.reader import BagReader
-from turbseg_ros.cli.errors import UsageError, executable
+from turbseg_ros.cli.errors import Interrupted, UsageError, executable, interrupted_after
 from turbseg_ros.cli.memory import keep_large_buffers
 from turbseg_ros.cli.options import (
     parameters_from,
@@ -55,6 +56,8 @@ from turbseg_ros.parameters import Parameters
 
 _METHOD = "turbseg"
 _EXPERIMENTS = ("baselines", "ablation", "sensitivity", "tilt_curve", "shake_curve")
+# With more runs than this, what is ahead is said.
+_FEW_RUNS = 2
 
 
 @executable("turbseg_evaluate")
@@ -113,27 +116,61 @@ def _evaluate(
     writer = ReportWriter() if options.report or options.curves else None
     runs = _trials(options, parameters)
     planned = [run for each in _experiments(options, parameters, runs) for run in each.runs]
-    with _runner(options, len({*runs, *planned})) as runner:
-        evaluation = _Evaluation(runner)
-        _print_scores(evaluation, runs)
-        scored = [run for run in runs if run in evaluation.results]
-        experiments = _experiments(options, parameters, scored)
-        for _ in evaluation.run([run for each in experiments for run in each.runs]):
-            pass
-    compared = [ScoredExperiment.of(each, evaluation.results) for each in experiments]
+    ahead = len({*runs, *planned})
+    workers = min(options.workers or _usable_workers(), ahead)
+    evaluation = _Evaluation(ahead, workers)
+    status = 0
+    try:
+        with _runner(options, workers) as runner:
+            _run_all(evaluation, runner, options, parameters, runs)
+    except Interrupted as interrupted:
+        # Signals are ignored from here on: what is done is written.
+        status = int(interrupted.code or 0)
+    scored = [run for run in runs if run in evaluation.results]
+    compared = [
+        ScoredExperiment.of(each, evaluation.results).complete(evaluation.finished)
+        for each in _experiments(options, parameters, scored)
+    ]
+    compared = [each for each in compared if each.rows]
     for each in compared:
         print("", *text_table(each), sep="\n")
+    partial = interrupted_after(len(evaluation.finished), ahead, "runs") if status else ""
+    if partial:
+        kept = "what is done is kept" if scored else "nothing to keep"
+        print(f"turbseg_evaluate: {partial}; {kept}", file=sys.stderr)
     if scored:
         command = ["turbseg_evaluate", *map(shlex.quote, arguments)]
-        _write(options, Report(command, parameters, scored, compared, evaluation.results), writer)
-    return 1 if evaluation.failed else 0
+        report = Report(command, parameters, scored, compared, evaluation.results, partial)
+        _write(options, report, writer)
+    return status or int(evaluation.failed)
+
+
+def _run_all(
+    evaluation: _Evaluation,
+    runner: Runner,
+    options: argparse.Namespace,
+    parameters: Parameters,
+    runs: Sequence[Run],
+) -> None:
+    """Run the method on each bag, and what is to be compared on those that can be scored."""
+    _print_scores(evaluation, runner, runs)
+    scored = [run for run in runs if run in evaluation.results]
+    experiments = _experiments(options, parameters, scored)
+    for _ in evaluation.run(runner, [run for each in experiments for run in each.runs]):
+        pass
 
 
 def _write(options: argparse.Namespace, report: Report, writer: ReportWriter | None) -> None:
     """Write the files that were asked for; `writer` is there when it is needed."""
     if options.json is not None:
         scores = [report.results[run].scores for run in report.runs]
-        tables = {each.experiment.key: each.as_json() for each in report.experiments}
+        tables: dict[str, object] = {}
+        for each in report.experiments:
+            tables[each.experiment.key] = each.as_json()
+            if each.experiment.idle:
+                tables[f"{each.experiment.key}_idle"] = dict(each.experiment.idle)
+        if report.partial:
+            tables["partial"] = report.partial
         write_json(options.json, scores, report.parameters.as_mapping(), tables)
     if writer is not None and options.curves is not None:
         for path in writer.write_curves(options.curves, report.experiments):
@@ -179,55 +216,89 @@ def _experiments(
 
 
 class _Evaluation:
-    """Does runs, none twice, and keeps their results; says what failed and why, once."""
+    """Does runs, none twice, and keeps their results; says what failed and why, once.
 
-    def __init__(self, runner: Runner) -> None:
-        self._runner = runner
+    Where many are ahead, it says how many, and after the first ones about how long they take.
+    """
+
+    def __init__(self, ahead: int, workers: int) -> None:
+        self._ahead = ahead
+        self._workers = workers
         self._reasons: set[str] = set()
+        self._began: float | None = None
         self.results: dict[Run, RunResult] = {}
+        self.finished: set[Run] = set()
 
     @property
     def failed(self) -> bool:
         """Whether a run came to nothing."""
         return bool(self._reasons)
 
-    def run(self, runs: Iterable[Run]) -> Iterator[RunResult]:
+    def run(self, runner: Runner, runs: Iterable[Run]) -> Iterator[RunResult]:
         """Do the runs that are not done yet; return the results of those that succeed."""
         new = [run for run in dict.fromkeys(runs) if run not in self.results]
-        outcomes = zip(new, self._runner(new), strict=True)
+        if self._began is None:
+            self._began = time.monotonic()
+            if self._ahead > _FEW_RUNS:
+                _say(f"{self._ahead} runs ahead, {self._workers} at a time")
+        outcomes = zip(new, runner(new), strict=True)
         progress = with_progress(outcomes, "evaluation", total=len(new), unit="run")
         for run, outcome in progress:
+            # In this order: an interruption in between counts no run whose result isn't kept.
             if isinstance(outcome, Failure):
                 self._report(outcome.reason)
             else:
                 self.results[run] = outcome
+            self.finished.add(run)
+            self._estimate(time.monotonic() - self._began)
+            if isinstance(outcome, RunResult):
                 yield outcome
 
     def _report(self, reason: str) -> None:
         if reason not in self._reasons:
             self._reasons.add(reason)
-            tqdm.write(f"turbseg_evaluate: {reason}", file=sys.stderr)
+            _say(reason)
+
+    def _estimate(self, seconds: float) -> None:
+        """Say about how long the rest takes, once each worker has shown what one run does."""
+        done = len(self.finished)
+        left = self._ahead - done
+        if self._ahead > _FEW_RUNS and left and done == max(self._workers, _FEW_RUNS):
+            _say(f"{left} runs are left, about {_rough(seconds / done * left)}")
 
 
-def _print_scores(evaluation: _Evaluation, runs: Sequence[Run]) -> None:
+def _say(line: str) -> None:
+    tqdm.write(f"turbseg_evaluate: {line}", file=sys.stderr)
+
+
+def _rough(seconds: float) -> str:
+    """Return a duration with no more precision than an estimate has."""
+    if seconds < 90:
+        return f"{max(round(seconds), 1)} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+
+
+def _print_scores(evaluation: _Evaluation, runner: Runner, runs: Sequence[Run]) -> None:
     """Run the method on each bag and print a line of scores as soon as they are there."""
     table = Table.of([run.source.name for run in runs])
     print(table.head, flush=True)
     scored = []
-    for result in evaluation.run(runs):
-        scored.append(result.scores)
-        tqdm.write(table.row(result.scores))
-    if len(scored) > 1:
-        print(table.mean(scored), flush=True)
+    try:
+        for result in evaluation.run(runner, runs):
+            scored.append(result.scores)
+            tqdm.write(table.row(result.scores))
+    finally:
+        # Of those that there are, when the rest is given up.
+        if len(scored) > 1:
+            print(table.mean(scored), flush=True)
 
 
 @contextlib.contextmanager
-def _runner(options: argparse.Namespace, runs: int) -> Iterator[Runner]:
-    """Return what does so many runs, as the options say: here, or on a cluster.
+def _runner(options: argparse.Namespace, workers: int) -> Iterator[Runner]:
+    """Return what does runs, as the options say: here, by so many workers, or on a cluster.
 
     :raises ClusterError: when there is no cluster to be had.
     """
-    workers = min(options.workers or _usable_workers(), runs)
     if options.scheduler is not None:
         with remote_cluster(options.scheduler) as client:
             yield functools.partial(run_on, client)

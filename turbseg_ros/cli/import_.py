@@ -14,7 +14,13 @@ from sensor_msgs.msg import Image
 from turbseg_ros.bag.errors import ClipError
 from turbseg_ros.bag.topics import TRUTH_TOPIC
 from turbseg_ros.bag.writer import BagWriter
-from turbseg_ros.cli.errors import UsageError, executable
+from turbseg_ros.cli.errors import (
+    StopRequest,
+    UsageError,
+    executable,
+    interrupted_after,
+    stopping_at_signals,
+)
 from turbseg_ros.cli.options import with_progress
 from turbseg_ros.cli.outputs import check_new
 from turbseg_ros.cli.parsers.import_ import FOLDER_RATE, build_parser
@@ -44,20 +50,27 @@ def main(arguments: Sequence[str] | None = None) -> int:
     check_new(options.out)
     clip = find_clip(options.source, options.masks)
     rate = options.rate or _own_rate(clip, options.source)
-    with BagWriter(options.out) as bag:
-        count = _write(clip, bag, options.topic, rate)
     stated = clip.frames.stated_count
+    with stopping_at_signals("turbseg_import") as stop, BagWriter(options.out) as bag:
+        count = _write(clip, bag, options.topic, rate, stop)
+        partial = interrupted_after(count, stated)
+        if stop.cut:
+            bag.mark_partial(partial)
+    if stop.cut:
+        print(f"turbseg_import: {options.out} is partial: {partial}", file=sys.stderr)
+        return stop.status
     if stated is not None and stated != count:
         print(f"{options.source} states {stated} frames; {count} could be read", file=sys.stderr)
     print(f"{options.out}: {count} frames at {rate:g} Hz on {options.topic}, {_truth_of(clip)}")
     return 0
 
 
-def _write(clip: Clip, bag: BagWriter, topic: str, rate: float) -> int:
-    """Write a clip's images and labels; return the number of frames."""
+def _write(clip: Clip, bag: BagWriter, topic: str, rate: float, stop: StopRequest) -> int:
+    """Write a clip's images and labels until stopped; return the number of frames."""
     form = frame_format(clip.frames)
     truth = itertools.repeat(None) if clip.masks is None else _labels(clip.masks, form)
-    frames = with_progress(form.conform(clip.frames), topic, clip.frames.stated_count)
+    taken = stop.until_stopped(form.conform(clip.frames))
+    frames = with_progress(taken, topic, clip.frames.stated_count)
     count = 0
     for frame, labels in zip(frames, truth, strict=False):
         stamp = _START_NS + round(count / rate * 1e9)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import sys
 import textwrap
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -55,6 +56,9 @@ def add_parameter_options(parser: argparse.ArgumentParser) -> None:
 def parameters_from(options: argparse.Namespace) -> Parameters:
     """Return the parameters that the options of `add_parameter_options` ask for.
 
+    What was set and has no effect as the others stand is warned about. A file may be the node's,
+    so what only the node reads is warned about where the command line sets it.
+
     :raises ParameterError: when the file or an override is refused.
     """
     parameters = Parameters()
@@ -62,7 +66,13 @@ def parameters_from(options: argparse.Namespace) -> Parameters:
         from turbseg_ros.parameter_file import load_parameters
 
         parameters = load_parameters(options.params_file, options.node)
-    return parameters.replace(dict(_parsed(override) for override in options.overrides))
+    overrides = dict(_parsed(override) for override in options.overrides)
+    parameters = parameters.replace(overrides)
+    idle = parameters.idle(replayed=True)
+    of_node_only = [line for name, line in idle.items() if name in overrides]
+    for line in dict.fromkeys([*parameters.idle_changes(Parameters()), *of_node_only]):
+        print(line, file=sys.stderr)
+    return parameters
 
 
 def with_progress(
@@ -102,6 +112,8 @@ def _parsed(override: str) -> tuple[str, object]:
 def _described(declaration: Declaration) -> str:
     unit = f" [{declaration.unit}]" if declaration.unit else ""
     text = f"{declaration.description} Default: {declaration.default}{unit}."
+    if declaration.condition:
+        text += f" {declaration.condition}"
     body = textwrap.fill(text, width=92, initial_indent=" " * 6, subsequent_indent=" " * 6)
     return f"  {declaration.name}\n{body}"
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import functools
 import logging
+import sys
 import traceback
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from turbseg_ros.bag.errors import BagError
 from turbseg_ros.bag.frames import BagFrames, ahead
@@ -15,7 +15,12 @@ from turbseg_ros.bag.reader import BagReader
 from turbseg_ros.bag.schema import type_name_of
 from turbseg_ros.bag.topics import RESULT_NAMESPACE
 from turbseg_ros.bag.writer import BagWriter, serialised
-from turbseg_ros.cli.errors import UsageError, executable
+from turbseg_ros.cli.errors import (
+    UsageError,
+    executable,
+    interrupted_after,
+    stopping_at_signals,
+)
 from turbseg_ros.cli.memory import keep_large_buffers
 from turbseg_ros.cli.options import parameters_from, with_progress
 from turbseg_ros.cli.outputs import check_new, check_picture
@@ -81,23 +86,38 @@ def main(arguments: Sequence[str] | None = None) -> int:
     reader = BagReader(options.bag)
     frames = BagFrames(reader, reader.find_image_topic(options.image_topic))
     _check_outputs(options)
-    segmenter = clip_segmenter(
-        parameters, functools.partial(with_progress, title="refining", unit="epoch")
-    )
     strip = OverlayStrip(len(frames))
     count = 0
-    with BagWriter(options.out) as bag:
+    with stopping_at_signals("turbseg_replay") as stop, BagWriter(options.out) as bag:
+
+        def shown(epochs: range) -> Iterator[int]:
+            for epoch in with_progress(epochs, title="refining", unit="epoch"):
+                # Before the last epoch there is nothing to keep.
+                stop.check()
+                yield epoch
+
+        segmenter = clip_segmenter(parameters, shown)
         results = ResultWriter(bag)
-        # The next frames are read and segmented while a result is written.
-        images = ahead(with_progress(frames, reader.path.name))
+        # The next frames are read and segmented while a result is written. When it is stopped,
+        # those that were read get their results.
+        taken = stop.until_stopped(frames)
+        images = ahead(with_progress(taken, reader.path.name, len(frames)))
         for result in ahead(segment(images, segmenter)):
             results.write(result)
             strip.add(result)
             count += 1
+        if stop.cut and not count:
+            stop.check()
         if not count:
             raise BagError(f"{reader.path}: none of {len(frames)} images could be read")
+        if stop.cut:
+            bag.mark_partial(interrupted_after(count, len(frames)))
     if options.overlay is not None:
         write_picture(options.overlay, strip.picture())
+    if stop.cut:
+        partial = interrupted_after(count, len(frames))
+        print(f"turbseg_replay: {options.out} is partial: {partial}", file=sys.stderr)
+        return stop.status
     lost = f", {frames.lost} images lost with what is damaged" if frames.lost else ""
     failed = "".join(
         f", {name} missing in {times} frames" for name, times in results.failed.items()

@@ -11,7 +11,13 @@ from turbseg_ros.bag.errors import BagError
 from turbseg_ros.bag.reader import BagReader
 from turbseg_ros.bag.topics import IMAGE_TOPIC, TRUTH_TOPIC
 from turbseg_ros.bag.writer import BagWriter
-from turbseg_ros.cli.errors import UsageError, executable
+from turbseg_ros.cli.errors import (
+    StopRequest,
+    UsageError,
+    executable,
+    interrupted_after,
+    stopping_at_signals,
+)
 from turbseg_ros.cli.options import with_progress
 from turbseg_ros.cli.outputs import check_new
 from turbseg_ros.cli.parsers.simulate import build_parser
@@ -40,14 +46,31 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _list_scenes()
         return 0
     _check(options)
-    if options.warp is not None:
-        check_new(options.out)
-        _warp_bag(options.warp, options.image_topic, options.tilt, options.seed, options.out)
-        return 0
-    for chosen, path in _chosen_scenes(options.scene, options.out):
-        strength = chosen if options.tilt is None else chosen.with_tilt(options.tilt)
-        _render_bag(strength, options.seed, path)
-    return 0
+    with stopping_at_signals("turbseg_simulate") as stop:
+        if options.warp is not None:
+            check_new(options.out)
+            _warp_bag(options, stop)
+        else:
+            _render_bags(options, stop)
+    return stop.status
+
+
+def _render_bags(options: argparse.Namespace, stop: StopRequest) -> None:
+    chosen = _chosen_scenes(options.scene, options.out)
+    for number, (each, path) in enumerate(chosen, start=1):
+        strength = each if options.tilt is None else each.with_tilt(options.tilt)
+        _render_bag(strength, options.seed, path, stop)
+        if stop.cut:
+            if number < len(chosen):
+                left = f"{len(chosen) - number} of {len(chosen)} scenes were not begun"
+                print(f"turbseg_simulate: {left}", file=sys.stderr)
+            return
+
+
+def _mark_partial(bag: BagWriter, path: Path, partial: str) -> None:
+    """Let a bag be kept as far as it goes, and say so."""
+    bag.mark_partial(partial)
+    print(f"turbseg_simulate: {path} is partial: {partial}", file=sys.stderr)
 
 
 def _check(options: argparse.Namespace) -> None:
@@ -85,30 +108,39 @@ def _chosen_scenes(name: str, out: Path) -> list[tuple[Scene, Path]]:
     return chosen
 
 
-def _render_bag(chosen: Scene, seed: int, path: Path) -> None:
-    frames = with_progress(render(chosen, seed), chosen.name, chosen.frames)
+def _render_bag(chosen: Scene, seed: int, path: Path, stop: StopRequest) -> None:
+    taken = stop.until_stopped(render(chosen, seed))
+    count = 0
     with BagWriter(path) as bag:
-        for frame in frames:
+        for frame in with_progress(taken, chosen.name, chosen.frames):
             stamp = frame.stamp_ns
             encoding = chosen.sensor.encoding
             picture = message_from_image(frame.image, encoding, stamp, _FRAME_ID)
             truth = message_from_image(frame.labels, "mono16", stamp, _FRAME_ID)
             bag.write(IMAGE_TOPIC, picture, stamp)
             bag.write(TRUTH_TOPIC, truth, stamp)
+            count += 1
+        if stop.cut and not count:
+            stop.check()
+        if stop.cut:
+            _mark_partial(bag, path, interrupted_after(count, chosen.frames))
+            return
     print(f"{path}: {chosen.frames} frames of '{chosen.name}', seed {seed}")
 
 
-def _warp_bag(source: Path, image_topic: str | None, tilt: float, seed: int, out: Path) -> None:
+def _warp_bag(options: argparse.Namespace, stop: StopRequest) -> None:
     """Write a bag whose frames and truth are warped and whose other messages are copied."""
+    source, out, tilt, seed = options.warp, options.out, options.tilt, options.seed
     reader = BagReader(source)
-    topic = reader.find_image_topic(image_topic)
+    topic = reader.find_image_topic(options.image_topic)
     has_truth = TRUTH_TOPIC in reader.topics
     truth = LabelsByStamp(read_labels(reader, TRUTH_TOPIC) if has_truth else ())
     count = scored = 0
     with BagWriter(out) as bag:
         warper = None
         total = sum(topic.message_count for topic in reader.topics.values())
-        for record in with_progress(reader.messages(), reader.path.name, total, "message"):
+        taken = stop.until_stopped(reader.messages())
+        for record in with_progress(taken, reader.path.name, total, "message"):
             if record.topic == TRUTH_TOPIC:
                 continue  # goes with its frame
             if record.topic != topic:
@@ -132,6 +164,9 @@ def _warp_bag(source: Path, image_topic: str | None, tilt: float, seed: int, out
                 bag.write(TRUTH_TOPIC, mask, record.stamp_ns)
                 scored += 1
             count += 1
+        if stop.cut:
+            _mark_partial(bag, out, interrupted_after(count, reader.topics[topic].message_count))
+            return
     print(f"{out}: {count} frames, {scored} with truth, tilt {tilt:g} px, seed {seed}")
     if scored < len(truth):
         print(

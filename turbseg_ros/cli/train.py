@@ -6,6 +6,8 @@ import argparse
 import dataclasses
 import functools
 import json
+import signal
+import sys
 import tempfile
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -14,7 +16,14 @@ from typing import Any
 
 import cv2
 
-from turbseg_ros.cli.errors import UsageError, executable
+from turbseg_ros.cli.errors import (
+    Interrupted,
+    StopRequest,
+    UsageError,
+    executable,
+    interrupted_after,
+    stopping_at_signals,
+)
 from turbseg_ros.cli.options import with_progress
 from turbseg_ros.cli.outputs import check_new
 from turbseg_ros.cli.parsers.train import build_parser
@@ -38,29 +47,51 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options.out.parent.mkdir(parents=True, exist_ok=True)
     cv2.setNumThreads(1)
     scenes = range(options.first_scene, options.first_scene + options.scenes)
-    trained_on, held_out = _examples(scenes, options.frames, options.workers)
-    with tempfile.TemporaryDirectory(dir=options.out.parent) as scratch:
+    with (
+        stopping_at_signals("turbseg_train") as stop,
+        tempfile.TemporaryDirectory(dir=options.out.parent) as scratch,
+    ):
+        trained_on, held_out = _examples(scenes, options.frames, options.workers, stop)
         written = Path(scratch) / "weights"
         written.mkdir()
-        record = _train(options, trained_on, held_out, written)
+        record = _train(options, trained_on, held_out, written, stop)
         (written / "training.json").write_text(json.dumps(record, indent=1) + "\n")
         written.rename(options.out)
-    return 0
+    if stop.cut:
+        print(f"turbseg_train: {options.out} is partial: {record['partial']}", file=sys.stderr)
+    return stop.status
 
 
-def _examples(scenes: Sequence[int], frames: int, workers: int) -> tuple[Examples, Examples]:
-    """Render scenes and take their windows: those to train on, and those held out."""
+def _examples(
+    scenes: Sequence[int], frames: int, workers: int, stop: StopRequest
+) -> tuple[Examples, Examples]:
+    """Render scenes and take their windows: those to train on, and those held out.
+
+    :raises Interrupted: when it is stopped: what would come of a part is another training.
+    """
     kept: list[Examples] = []
     held: list[Examples] = []
-    with ProcessPoolExecutor(workers, initializer=cv2.setNumThreads, initargs=(1,)) as pool:
+    with ProcessPoolExecutor(workers, initializer=_start_worker) as pool:
         taken = pool.map(functools.partial(_windows_of, frames=frames), scenes)
         shown = with_progress(taken, "rendering", unit="scene", total=len(scenes))
-        for number, examples in enumerate(shown):
-            (held if number % _HELD_OUT == 0 else kept).append(examples)
+        try:
+            for number, examples in enumerate(shown):
+                stop.check()
+                (held if number % _HELD_OUT == 0 else kept).append(examples)
+        except Interrupted:
+            # Else the pool's end waits for all scenes.
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
     trained_on, held_out = Examples.joined(kept), Examples.joined(held)
     if not (len(trained_on) and len(held_out)):
         raise UsageError(f"nothing moved in {len(scenes)} scenes; render more, or longer ones")
     return trained_on, held_out
+
+
+def _start_worker() -> None:
+    # A Ctrl-C goes to all processes at a terminal; the one that the user started ends the others.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    cv2.setNumThreads(1)
 
 
 def _windows_of(scene: int, frames: int) -> Examples:
@@ -68,14 +99,18 @@ def _windows_of(scene: int, frames: int) -> Examples:
 
 
 def _train(
-    options: argparse.Namespace, examples: Examples, held_out: Examples, folder: Path
+    options: argparse.Namespace,
+    examples: Examples,
+    held_out: Examples,
+    folder: Path,
+    stop: StopRequest,
 ) -> dict[str, Any]:
-    """Train, show how it goes, and write the network; return the record of it all."""
+    """Train until stopped, show how it goes, and write the network; return the record of it."""
     from turbseg_ros.learning.export import write_onnx, write_weights
     from turbseg_ros.learning.training import held_out_scores, train
 
     every = max(options.steps // _REPORTS, 1)
-    curve = []
+    curve: list[dict[str, float]] = []
     reports = train(examples, options.seed, options.steps, report_every=every)
     for number, (loss, net) in enumerate(reports, start=1):
         scores = held_out_scores(net, held_out)
@@ -87,6 +122,10 @@ def _train(
             f" {scores.alarms_ruled:.2f}",
             flush=True,
         )
+        if stop.received and step < options.steps:
+            stop.cut = True
+            break
+    partial = {"partial": interrupted_after(step, options.steps, "steps")} if stop.cut else {}
     write_onnx(net, folder / "refine_net.onnx")
     write_weights(net, folder / "refine_net.safetensors")
     return {
@@ -95,4 +134,5 @@ def _train(
         "windows": len(examples),
         "held_out": dataclasses.asdict(scores),
         "curve": curve,
+        **partial,
     }

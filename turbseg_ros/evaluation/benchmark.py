@@ -6,9 +6,11 @@ frames each, with one optical flow of a fixed kind, whose ratio means the same e
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import math
 import multiprocessing
+import signal
 import threading
 import time
 from collections import defaultdict
@@ -223,7 +225,14 @@ def footprint(parameters: Parameters, frames: Iterable[Frame]) -> Footprint:
 
 
 def _segment_from(connection: Connection, parameters: Parameters) -> None:
+    # A Ctrl-C goes to all processes at a terminal; this one ends with its parent.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     segmenter = motion_segmenter(parameters)
+    with contextlib.suppress(EOFError, BrokenPipeError):
+        _answer(connection, segmenter)
+
+
+def _answer(connection: Connection, segmenter: Segmenter) -> None:
     connection.send("ready")
     while (frame := connection.recv()) is not None:
         connection.send(len(segmenter.push(frame)))

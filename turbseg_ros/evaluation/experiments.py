@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from turbseg_ros.evaluation.baselines import Method, TurbsegMethod
@@ -34,7 +34,7 @@ VARIANTS: Mapping[str, Mapping[str, Value]] = {
 }
 """What the ablation changes, one thing at a time: names of variants and their parameters."""
 
-# Groups of parameters that the node has beside those of the method; so are all in no group.
+# Groups of parameters that say nothing of the method; so are all in no group.
 _GROUPS_OF_THE_NODE = ("qos", "diagnostics")
 
 
@@ -56,13 +56,15 @@ class Experiment:
     """Rows that belong together.
 
     `key` is its name in JSON, `rows_are` what the rows' names are, `strength_name` the name of
-    their strength in JSON, where they have one.
+    their strength in JSON, where they have one. `idle` names the variants that are not run, for
+    they change nothing as the parameters stand, each with a line that says why.
     """
 
     key: str
     rows_are: str
     rows: tuple[Row, ...]
     strength_name: str = ""
+    idle: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def runs(self) -> tuple[Run, ...]:
@@ -81,14 +83,14 @@ def against_baselines(runs: Sequence[Run], baselines: Sequence[Method]) -> Exper
 
 def ablation(runs: Sequence[Run], parameters: Parameters) -> Experiment:
     """Change one thing at a time in the method's parameters, on the bags of `runs`."""
-    return Experiment("ablation", "variant", _variants(runs, parameters, VARIANTS))
+    return _of_variants("ablation", runs, parameters, VARIANTS)
 
 
 def sensitivity(runs: Sequence[Run], parameters: Parameters) -> Experiment:
     """Halve and double each number among the method's parameters, on the bags of `runs`.
 
     Whole numbers are rounded, all are kept within their range; what that leaves as it is, is
-    left out.
+    left out. What has no effect while a bag is replayed is named as idle.
     """
     values = parameters.as_mapping()
     variants: dict[str, dict[str, Value]] = {"as configured": {}}
@@ -98,7 +100,7 @@ def sensitivity(runs: Sequence[Run], parameters: Parameters) -> Experiment:
         if name and group not in _GROUPS_OF_THE_NODE and type(number) in (int, float):
             for changed in _halved_and_doubled(declared, float(number)):
                 variants[f"{declared.name} {changed}"] = {declared.name: changed}
-    return Experiment("sensitivity", "variant", _variants(runs, parameters, variants))
+    return _of_variants("sensitivity", runs, parameters, variants)
 
 
 def _halved_and_doubled(declared: Declaration, value: float) -> Iterable[Value]:
@@ -111,17 +113,26 @@ def _halved_and_doubled(declared: Declaration, value: float) -> Iterable[Value]:
             yield given
 
 
-def _variants(
+def _of_variants(
+    key: str,
     runs: Sequence[Run],
     parameters: Parameters,
     variants: Mapping[str, Mapping[str, Value]],
-) -> tuple[Row, ...]:
-    rows = []
+) -> Experiment:
+    """Return an experiment with a row for each variant of the parameters that is not idle."""
+    before = parameters.idle(replayed=True)
+    rows, idle = [], {}
     for name, changed in variants.items():
-        method = TurbsegMethod(name, parameters.replace(changed))
+        varied = parameters.replace(changed)
+        after = varied.idle(replayed=True)
+        # Idle under both values: one that is used at a certain value only changes something.
+        if changed and all(each in before and each in after for each in changed):
+            idle[name] = "; ".join(after[each] for each in changed)
+            continue
+        method = TurbsegMethod(name, varied)
         own = (replace(run, method=method, illustrated=False) for run in runs)
         rows.append(Row(name, tuple(own), parameters=changed))
-    return tuple(rows)
+    return Experiment(key, "variant", tuple(rows), idle=idle)
 
 
 def tilt_curve(
@@ -204,6 +215,15 @@ class ScoredExperiment:
         )
         return cls(experiment, tuple(rows))
 
+    def complete(self, finished: Collection[Run]) -> ScoredExperiment:
+        """Leave out rows of which a run was not done: means over other bags mislead."""
+        kept = [
+            scored
+            for row, scored in zip(self.experiment.rows, self.rows, strict=True)
+            if set(finished).issuperset(row.runs)
+        ]
+        return replace(self, rows=tuple(kept))
+
     @property
     def strengths(self) -> list[float]:
         """The strengths of a curve, none of a table."""
@@ -216,6 +236,11 @@ class ScoredExperiment:
         for row in self.rows:
             curves.setdefault(row.name, []).append(row)
         return curves
+
+    @property
+    def idle_reasons(self) -> list[str]:
+        """Why variants were not run, each reason once."""
+        return list(dict.fromkeys(self.experiment.idle.values()))
 
     def as_json(self) -> list[dict[str, Any]]:
         """Return the rows as JSON has them."""
@@ -237,7 +262,8 @@ def text_table(scored: ScoredExperiment) -> list[str]:
     if scored.strengths:
         return _curve_table(scored)
     table = Table.of([row.name for row in scored.rows], scored.experiment.rows_are)
-    return [table.head, *(table.mean(row.bags, row.name) for row in scored.rows)]
+    lines = [table.head, *(table.mean(row.bags, row.name) for row in scored.rows)]
+    return [*lines, *(f"not run: {line}" for line in scored.idle_reasons)]
 
 
 def _curve_table(scored: ScoredExperiment) -> list[str]:

@@ -7,6 +7,9 @@ k the object with id k. What two empty masks have in common is 1, as in the DAVI
 from __future__ import annotations
 
 import math
+from collections import Counter, defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import cv2
@@ -22,6 +25,8 @@ BOUNDARY_TOLERANCE = 0.008
 # Least IoU at which a predicted object passes for a true one. Low, because identity is to be
 # judged apart from how tight an outline is.
 MATCH_IOU = 0.2
+# Share of its pixels that a predicted object has on true ones at least, unless it is false.
+TRUE_SHARE = 0.5
 # A truth that holds only this value tells foreground from background, not object from object.
 _UNION_VALUE = 255
 
@@ -60,6 +65,117 @@ def foreground_fraction(mask: Mask) -> float:
     return float(np.count_nonzero(mask)) / mask.size
 
 
+@dataclass(frozen=True)
+class ObjectOverlaps:
+    """How the objects of a label image lie over those of its truth, in pixels.
+
+    `shared` holds a row for each of `true_ids`, a column for each of `predicted_ids`;
+    `true_areas` and `predicted_areas` are those of whole objects.
+    """
+
+    true_ids: tuple[int, ...]
+    predicted_ids: tuple[int, ...]
+    shared: npt.NDArray[np.float64]
+    true_areas: npt.NDArray[np.float64]
+    predicted_areas: npt.NDArray[np.float64]
+
+    @property
+    def iou(self) -> npt.NDArray[np.float64]:
+        """Intersection over union of each true object with each predicted one."""
+        union = self.true_areas[:, None] + self.predicted_areas[None] - self.shared
+        return self.shared / np.maximum(union, 1.0)
+
+    @property
+    def tells_objects_apart(self) -> bool:
+        """Whether the truth isn't a union, 0 and 255; also where it is empty."""
+        return self.true_ids != (_UNION_VALUE,)
+
+
+def object_overlaps(prediction: Labels, truth: Labels) -> ObjectOverlaps:
+    """Compare the objects of two label images of one size."""
+    foreground = (prediction != 0) | (truth != 0)
+    true_ids, rows = np.unique(truth[foreground], return_inverse=True)
+    predicted_ids, columns = np.unique(prediction[foreground], return_inverse=True)
+    shared = np.zeros((true_ids.size, predicted_ids.size))
+    np.add.at(shared, (rows.ravel(), columns.ravel()), 1.0)
+    is_true, is_predicted = true_ids != 0, predicted_ids != 0
+    return ObjectOverlaps(
+        true_ids=tuple(true_ids[is_true].tolist()),
+        predicted_ids=tuple(predicted_ids[is_predicted].tolist()),
+        shared=shared[is_true][:, is_predicted],
+        true_areas=shared.sum(1)[is_true],
+        predicted_areas=shared.sum(0)[is_predicted],
+    )
+
+
+def count_false_objects(overlaps: ObjectOverlaps) -> int:
+    """Return the number of predicted objects in a frame where there is none.
+
+    An object is a label's region. It is false when its IoU with every true object is below
+    `MATCH_IOU` and less than `TRUE_SHARE` of its pixels lie on true objects of any id: neither
+    one that was found badly, nor a fragment. For a union truth see `true_components`.
+    """
+    if not overlaps.predicted_ids:
+        return 0
+    matched = (overlaps.iou >= MATCH_IOU).any(axis=0)
+    share = overlaps.shared.sum(axis=0) / overlaps.predicted_areas
+    return int(np.count_nonzero(~matched & (share < TRUE_SHARE)))
+
+
+def true_components(truth: Labels) -> Labels:
+    """Return a union truth, 0 and 255, with each connected part (of 8 neighbours) as an object."""
+    _, components = cv2.connectedComponents((truth != 0).astype(np.uint8))
+    return np.asarray(components)
+
+
+class ObjectJaccard:
+    """Scores each true object of a sequence by the one predicted object that stands for it.
+
+    As in DAVIS-2017's unsupervised track (Caelles et al., "The 2019 DAVIS Challenge on VOS:
+    Unsupervised Multi-Object Segmentation"): J of each pair of a true and a predicted id is its
+    mean over frames, and the Hungarian method gives each true id a predicted one for the whole
+    sequence. Frames are here those in which the true object exists: false ones have a figure of
+    their own. A pixel that one object takes from another counts against both.
+    """
+
+    def __init__(self) -> None:
+        self._frames: Counter[int] = Counter()
+        self._sums: defaultdict[tuple[int, int], float] = defaultdict(float)
+
+    def add(self, overlaps: ObjectOverlaps) -> None:
+        """Take the next frame."""
+        self._frames.update(overlaps.true_ids)
+        iou = overlaps.iou
+        for row, column in zip(*np.nonzero(iou), strict=True):
+            pair = overlaps.true_ids[row], overlaps.predicted_ids[column]
+            self._sums[pair] += float(iou[row, column])
+
+    @property
+    def by_object(self) -> dict[int, float] | None:
+        """Mean J of each true id.
+
+        None without a true object, or when the truth doesn't tell objects apart.
+        """
+        if not self._frames or set(self._frames) == {_UNION_VALUE}:
+            return None
+        true_ids = sorted(self._frames)
+        predicted_ids = sorted({predicted for _, predicted in self._sums})
+        means = np.zeros((len(true_ids), len(predicted_ids)))
+        for (true_id, predicted_id), total in self._sums.items():
+            pair = true_ids.index(true_id), predicted_ids.index(predicted_id)
+            means[pair] = total / self._frames[true_id]
+        best = dict.fromkeys(true_ids, 0.0)
+        for row, column in zip(*linear_sum_assignment(means, maximize=True), strict=True):
+            best[true_ids[row]] = float(means[row, column])
+        return best
+
+    @property
+    def mean(self) -> float | None:
+        """The mean over the true objects; None where there is none to tell."""
+        by_object = self.by_object
+        return None if by_object is None else float(np.mean(list(by_object.values())))
+
+
 class IdSwitchCounter:
     """Counts how often a true object's predicted id changes, over the frames of one sequence.
 
@@ -78,9 +194,9 @@ class IdSwitchCounter:
         """The switches so far; None when the truth doesn't tell objects apart (0/255 masks)."""
         return None if self._true_ids == {_UNION_VALUE} else self._switches
 
-    def add(self, prediction: Labels, truth: Labels) -> None:
-        """Take the next frame's label images."""
-        true_ids, predicted_ids, iou = _object_overlaps(prediction, truth)
+    def add(self, overlaps: ObjectOverlaps) -> None:
+        """Take the next frame."""
+        true_ids, predicted_ids, iou = overlaps.true_ids, overlaps.predicted_ids, overlaps.iou
         self._true_ids.update(true_ids)
         for row, column in _pairs(iou, self._kept_pairs(true_ids, predicted_ids, iou)):
             true_id, predicted_id = true_ids[row], predicted_ids[column]
@@ -89,7 +205,10 @@ class IdSwitchCounter:
             self._partner[true_id] = predicted_id
 
     def _kept_pairs(
-        self, true_ids: list[int], predicted_ids: list[int], iou: npt.NDArray[np.float64]
+        self,
+        true_ids: Sequence[int],
+        predicted_ids: Sequence[int],
+        iou: npt.NDArray[np.float64],
     ) -> list[tuple[int, int]]:
         columns = {predicted_id: column for column, predicted_id in enumerate(predicted_ids)}
         kept: dict[int, int] = {}
@@ -112,20 +231,6 @@ def _pairs(iou: npt.NDArray[np.float64], kept: list[tuple[int, int]]) -> list[tu
     rows, columns = linear_sum_assignment(free, maximize=True)
     found = [(int(r), int(c)) for r, c in zip(rows, columns, strict=True) if free[r, c] > 0.0]
     return kept + found
-
-
-def _object_overlaps(
-    prediction: Labels, truth: Labels
-) -> tuple[list[int], list[int], npt.NDArray[np.float64]]:
-    """Return the ids in the truth, those in the prediction and the IoU of each with each."""
-    foreground = (prediction != 0) | (truth != 0)
-    true_ids, rows = np.unique(truth[foreground], return_inverse=True)
-    predicted_ids, columns = np.unique(prediction[foreground], return_inverse=True)
-    shared = np.zeros((true_ids.size, predicted_ids.size))
-    np.add.at(shared, (rows.ravel(), columns.ravel()), 1.0)
-    union = shared.sum(1, keepdims=True) + shared.sum(0, keepdims=True) - shared
-    iou = (shared / np.maximum(union, 1.0))[true_ids != 0][:, predicted_ids != 0]
-    return true_ids[true_ids != 0].tolist(), predicted_ids[predicted_ids != 0].tolist(), iou
 
 
 def _overlap(prediction: Mask, truth: Mask) -> tuple[int, int, int]:

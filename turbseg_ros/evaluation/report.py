@@ -43,7 +43,7 @@ class Report:
     """What a report tells of: the method's `runs`, one a bag, what it was compared with.
 
     `command` holds the words of the line that made it, `results` what came of the runs, the
-    experiments' among them.
+    experiments' among them; `partial` says how much of it was run, where that is not all.
     """
 
     command: Sequence[str]
@@ -51,6 +51,7 @@ class Report:
     runs: Sequence[Run]
     experiments: Sequence[ScoredExperiment]
     results: Mapping[Run, RunResult]
+    partial: str = ""
 
 
 class ReportWriter:
@@ -102,6 +103,7 @@ class ReportWriter:
         scores = [report.results[run].scores for run in report.runs]
         return self._page.render(
             command=report.command,
+            partial=report.partial,
             columns=COLUMNS,
             comparable=[column for column in COLUMNS if column.name not in _OF_THE_BAG],
             scores=[dataclasses.asdict(bag) for bag in scores],
@@ -131,7 +133,8 @@ class _ExperimentView:
     """An experiment as the page shows it.
 
     `by_bag` holds, row by row, each bag's J (None where it has none), `changes` each row's mean J
-    less that of the first row; `chart` is there for curves only.
+    less that of the first row; `chart` is there for curves only, `idle` says what was not run, and
+    why.
     """
 
     key: str
@@ -140,6 +143,7 @@ class _ExperimentView:
     bag_names: Sequence[str]
     by_bag: Sequence[Sequence[float | None]]
     changes: Sequence[float | None]
+    idle: Sequence[str]
     chart: Chart | None
 
 
@@ -164,6 +168,8 @@ def _summary(scores: Sequence[BagScores]) -> list[_Figure]:
         ("J", mean["j"], ".3f", "mean over the bags that hold an object"),
         ("G", mean["g"], ".3f", "mean of J and Dice"),
         ("Boundary F", mean["boundary_f"], ".3f", "outlines, as in the DAVIS benchmark"),
+        ("J object", mean["j_object"], ".3f", "each true object beside its best label"),
+        ("False objects", mean["false_objects"], ".2f", "a frame, with true objects or without"),
         ("False alarms", mean["false_alarm_area"], ".3%", "of the picture, where nothing moves"),
         ("Id switches", sum(with_ids) if with_ids else None, "d", "in all bags together"),
         ("Speed", mean["fps"], ".1f", "frames a second; runs share the cores"),
@@ -198,6 +204,7 @@ def _view(scored: ScoredExperiment) -> _ExperimentView:
         bag_names=bag_names,
         by_bag=by_bag,
         changes=[None if j is None or first is None else j - first for j in means],
+        idle=scored.idle_reasons,
         chart=_curves(scored) if scored.strengths else None,
     )
 

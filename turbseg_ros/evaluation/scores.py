@@ -15,10 +15,14 @@ import numpy as np
 from turbseg_ros.evaluation.metrics import (
     IdSwitchCounter,
     Labels,
+    ObjectJaccard,
     boundary_f,
+    count_false_objects,
     dice,
     foreground_fraction,
     jaccard,
+    object_overlaps,
+    true_components,
 )
 
 
@@ -27,10 +31,14 @@ class BagScores:
     """What the segmentation of one bag is worth; None where there is nothing to tell it from.
 
     `j`, `dice`, `g` (the mean of the two) and `boundary_f` are of the union of all objects, means
-    over the frames whose truth has an object. `false_alarm_frames` counts those frames without any
-    in which something was found, `false_alarm_area` is the mean share of the image found in all
-    such frames. `id_switches` is None when the truth doesn't tell objects apart. `fps`, `ms_p50`
-    and `ms_p95` are of the segmentation alone, `tilt_px` is the median of the measured turbulence.
+    over the frames whose truth has an object. `j_object` is the mean J of the true objects, each
+    held against the one predicted id that stands for it in the whole bag, over the frames in which
+    it exists; see `ObjectJaccard`. `false_alarm_frames` counts those frames without any true
+    object in which something was found, `false_alarm_area` is the mean share of the image found in
+    all such frames. `false_objects` is the mean number, over all frames with a truth, of objects
+    found where there is none; see `count_false_objects`. `j_object` and `id_switches` are None
+    when the truth doesn't tell objects apart. `fps`, `ms_p50` and `ms_p95` are of the segmentation
+    alone, `tilt_px` is the median of the measured turbulence.
     """
 
     bag: str
@@ -40,8 +48,10 @@ class BagScores:
     dice: float | None
     g: float | None
     boundary_f: float | None
+    j_object: float | None
     false_alarm_frames: int
     false_alarm_area: float | None
+    false_objects: float | None
     id_switches: int | None
     fps: float | None
     ms_p50: float | None
@@ -50,7 +60,7 @@ class BagScores:
 
     def without_ids(self) -> BagScores:
         """Return the scores of something that doesn't claim to follow objects."""
-        return dataclasses.replace(self, id_switches=None)
+        return dataclasses.replace(self, j_object=None, id_switches=None)
 
 
 @dataclass
@@ -91,6 +101,8 @@ class Scorer:
         self._dice: list[float] = []
         self._boundary_f: list[float] = []
         self._false_alarm_areas: list[float] = []
+        self._false_objects: list[int] = []
+        self._object_jaccard = ObjectJaccard()
         self._id_switches = IdSwitchCounter()
 
     def add(self, prediction: Labels, truth: Labels) -> None:
@@ -102,7 +114,12 @@ class Scorer:
             raise ValueError(
                 f"truth of {_size(truth)} doesn't fit labels of {_size(prediction)} pixels"
             )
-        self._id_switches.add(prediction, truth)
+        overlaps = object_overlaps(prediction, truth)
+        self._id_switches.add(overlaps)
+        self._object_jaccard.add(overlaps)
+        if not overlaps.tells_objects_apart:
+            overlaps = object_overlaps(prediction, true_components(truth))
+        self._false_objects.append(count_false_objects(overlaps))
         if truth.any():
             self._j.append(jaccard(prediction, truth))
             self._dice.append(dice(prediction, truth))
@@ -121,8 +138,10 @@ class Scorer:
             dice=dice_,
             g=None if j is None or dice_ is None else (j + dice_) / 2,
             boundary_f=_mean(self._boundary_f),
+            j_object=self._object_jaccard.mean,
             false_alarm_frames=int(np.count_nonzero(self._false_alarm_areas)),
             false_alarm_area=_mean(self._false_alarm_areas),
+            false_objects=_mean(self._false_objects),
             id_switches=self._id_switches.switches,
             fps=measurements.fps,
             ms_p50=measurements.push_milliseconds(50),
@@ -201,10 +220,17 @@ COLUMNS = (
     Column("Dice", "dice", ".3f", "twice the intersection over the sum of both areas"),
     Column("G", "g", ".3f", "mean of J and Dice"),
     Column("bound F", "boundary_f", ".3f", "F measure of the outlines, as in the DAVIS benchmark"),
-    Column("alarms", "false_alarm_frames", ".4g", "frames in which something was found in vain"),
+    Column("J obj", "j_object", ".3f", "mean J of the true objects, each beside its best label"),
+    Column(
+        "alarms",
+        "false_alarm_frames",
+        ".4g",
+        "frames without any true object in which something was found",
+    ),
     Column(
         "alarm area", "false_alarm_area", ".3%", "share of the image found where nothing moves"
     ),
+    Column("false obj", "false_objects", ".2f", "objects a frame that were found in vain"),
     Column("id sw", "id_switches", ".4g", "times that a true object changed its id"),
     Column("fps", "fps", ".1f", "frames a second of segmentation; runs share the cores"),
     Column("ms p50", "ms_p50", ".1f", "median time that a frame took, milliseconds"),

@@ -31,9 +31,10 @@ _INT64_MAX = 2**63 - 1
 def descriptor_of(declaration: Declaration) -> ParameterDescriptor:
     """Return what `ros2 param describe` shows of a parameter."""
     unit = f" Unit: {declaration.unit}." if declaration.unit else ""
+    condition = f" {declaration.condition}" if declaration.condition else ""
     descriptor = ParameterDescriptor(
         name=declaration.name,
-        description=declaration.description + unit,
+        description=declaration.description + unit + condition,
         read_only=declaration.read_only,
     )
     if declaration.choices:
@@ -72,8 +73,10 @@ class ParameterHandler:
     def __init__(self, node: Node, on_change: Callable[[Parameters, Parameters], None]) -> None:
         self._declarations = {declaration.name: declaration for declaration in declarations()}
         self._on_change = on_change
+        self._logger = node.get_logger()
         self.current = _given_at_start(node)
         self._declare_on(node)
+        self._warn_of_idle(Parameters())
         node.add_pre_set_parameters_callback(self._in_declared_type)
         node.add_on_set_parameters_callback(self._validate)
         node.add_post_set_parameters_callback(self._apply)
@@ -107,8 +110,14 @@ class ParameterHandler:
 
     def _apply(self, changes: list[RosParameter]) -> None:
         before, self.current = self.current, self._changed(changes)
+        self._warn_of_idle(before)
         if self.current != before:
             self._on_change(before, self.current)
+
+    def _warn_of_idle(self, before: Parameters) -> None:
+        """Say which changes since `before` have no effect as the other parameters stand."""
+        for line in self.current.idle_changes(before):
+            self._logger.warning(line)
 
     def _changed(self, changes: Iterable[RosParameter]) -> Parameters:
         return self.current.replace(
