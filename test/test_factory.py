@@ -41,7 +41,7 @@ class FromHundred(KalmanTracker):
     def __init__(self, parameters):
         tracking = parameters.tracking
         super().__init__(
-            tracking.confirmation, tracking.travel, tracking.patience, parameters.max_objects, 4
+            tracking.min_hits, tracking.travel, tracking.max_age, parameters.max_objects, 4
         )
         self._next_id = 100
 

@@ -94,7 +94,7 @@ def test_what_is_idle_changes_nothing(
         ("flow.variational_iterations", 5, {}),
         ("latency.warm_up", 0, {}),
         ("tracking.travel", 100.0, {}),
-        ("latency.haste_from", 0, {}),
+        ("latency.coast_from", 0, {}),
         ("latency.sparse_from", 0, {}),
     ],
 )
@@ -131,8 +131,8 @@ def test_what_is_used_changes_something(
         ("flow.every", "maximum"),
         ("outline.memory", "minimum"),
         ("outline.key_step", "maximum"),
-        ("tracking.confirmation", "minimum"),
-        ("tracking.patience", "minimum"),
+        ("tracking.min_hits", "minimum"),
+        ("tracking.max_age", "minimum"),
     ],
 )
 def test_no_end_of_a_range_ruins_everything(

@@ -137,7 +137,7 @@ def test_a_switch_takes_true_and_false_only() -> None:
     [
         ("flow.intervall", "flow.interval"),
         ("seed.siz", "seed.size"),
-        ("tracking.patients", "tracking.patience"),
+        ("tracking.patients", "tracking.max_age"),
         ("max_object", "max_objects"),
     ],
 )
@@ -183,8 +183,32 @@ def test_every_unmet_condition_is_named() -> None:
 
 def test_what_only_the_node_reads_is_idle_in_a_replay() -> None:
     assert "queue_size" not in Parameters().idle()
-    assert Parameters().idle(replayed=True)["latency.haste_from"] == (
-        "latency.haste_from has no effect here; it is used by the live node, and at 0"
+    assert Parameters().idle(replayed=True)["latency.coast_from"] == (
+        "latency.coast_from has no effect here; it is used by the live node, and at 0"
     )
-    always = Parameters.from_mapping({"latency.haste_from": 0})
-    assert "latency.haste_from" not in always.idle(replayed=True)
+    always = Parameters.from_mapping({"latency.coast_from": 0})
+    assert "latency.coast_from" not in always.idle(replayed=True)
+
+
+FORMER = {former: d.name for d in declarations() for former in d.former_names}
+
+
+def test_the_names_of_the_first_release_are_kept() -> None:
+    assert FORMER == {
+        "latency.haste_from": "latency.coast_from",
+        "tracking.confirmation": "tracking.min_hits",
+        "tracking.patience": "tracking.max_age",
+    }
+
+
+@pytest.mark.parametrize("former", FORMER)
+def test_a_former_name_is_taken_with_one_warning(
+    former: str, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("turbseg_ros.parameters._warned_of", set())
+    for value in (10, 12):
+        values = Parameters().replace({former: value}).as_mapping()
+        assert values[FORMER[former]] == value
+        assert former not in values
+    (record,) = caplog.records
+    assert f"{former} is called {FORMER[former]} now" in record.getMessage()

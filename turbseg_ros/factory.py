@@ -146,9 +146,9 @@ def _outlines_by_background(parameters: Parameters) -> OutlineMethod:
 def _kalman_tracker(parameters: Parameters) -> KalmanTracker:
     tracking = parameters.tracking
     return KalmanTracker(
-        confirmation=tracking.confirmation,
+        min_hits=tracking.min_hits,
         travel=tracking.travel,
-        patience=tracking.patience,
+        max_age=tracking.max_age,
         slots=parameters.max_objects,
         every=parameters.flow.every,
     )

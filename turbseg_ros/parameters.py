@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import logging
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -24,6 +25,9 @@ T = TypeVar("T")
 UsedWhen = Mapping[str, tuple[Value, ...]]
 """Other parameters' names, and the values with all of which a parameter is used."""
 
+_LOGGER = logging.getLogger(__name__)
+# Former names of parameters that were warned about.
+_warned_of: set[str] = set()
 # Names every ROS node has, which are the middleware's business and not ours.
 _MIDDLEWARE_NAMES = ("use_sim_time", "qos_overrides", "start_type_description_service")
 
@@ -56,6 +60,7 @@ class Declaration:
     used_when: UsedWhen = field(default_factory=dict, hash=False)
     node_only: bool = False
     replayed_values: tuple[Value, ...] = ()
+    former_names: tuple[str, ...] = ()
 
     @property
     def condition(self) -> str:
@@ -118,6 +123,7 @@ def parameter(
     used_when: UsedWhen | None = None,
     node_only: bool = False,
     replayed_values: tuple[Value, ...] = (),
+    former_names: tuple[str, ...] = (),
 ) -> T:
     """Declare a dataclass field as a parameter.
 
@@ -125,6 +131,8 @@ def parameter(
     :param used_when: values of others without which this one has no effect.
     :param node_only: whether only the live node reads it, no tool that replays bags.
     :param replayed_values: of those that only the node reads, values that count in replays too.
+    :param former_names: full names that it had; they are taken for it until the next minor
+        version, with one warning.
     """
     declared: T = field(
         default=default,
@@ -138,6 +146,7 @@ def parameter(
             "extensible": extensible,
             "used_when": used_when or {},
             "node_only": node_only,
+            "former_names": former_names,
             "replayed_values": replayed_values,
         },
     )
@@ -195,15 +204,16 @@ class LatencyParameters:
         read_only=True,
         used_when={"latency.mode": ("centred",)},
     )
-    haste_from: int = parameter(
+    coast_from: int = parameter(
         2,
-        "Images that wait when the node begins to hurry: between measurements of motion it then "
-        "carries objects along instead of outlining them. 0: always; more than queue_size: never.",
+        "Images that wait when the node begins to shed load: between measurements of motion, "
+        "objects then coast instead of being outlined. 0: always; more than queue_size: never.",
         unit="frames",
         minimum=0,
         maximum=1001,
         node_only=True,
         replayed_values=(0,),
+        former_names=("latency.haste_from",),
     )
     sparse_from: int = parameter(
         4,
@@ -246,7 +256,7 @@ class FlowParameters:
     )
     every: int = parameter(
         4,
-        "Every how many frames motion is measured; in between, what moves is carried along.",
+        "Every how many frames motion is measured; in between, what moves is propagated.",
         unit="frames",
         minimum=1,
         maximum=8,
@@ -410,7 +420,7 @@ class TrackingParameters:
         read_only=True,
         extensible=True,
     )
-    confirmation: int = parameter(
+    min_hits: int = parameter(
         4,
         "Frames in which something must be seen moving to become an object.",
         unit="frames",
@@ -418,6 +428,7 @@ class TrackingParameters:
         # Results wait as long.
         maximum=30,
         used_when=_KALMAN,
+        former_names=("tracking.confirmation",),
     )
     travel: float = parameter(
         1.0,
@@ -428,7 +439,7 @@ class TrackingParameters:
         maximum=100.0,
         used_when=_KALMAN,
     )
-    patience: int = parameter(
+    max_age: int = parameter(
         30,
         "Frames for which an object may be lost, or stand still, before it ends; twice flow.every "
         "at least.",
@@ -437,6 +448,7 @@ class TrackingParameters:
         minimum=8,
         maximum=100000,
         used_when=_KALMAN,
+        former_names=("tracking.patience",),
     )
 
 
@@ -558,7 +570,8 @@ class Parameters:
         """
         known = {declaration.name: declaration for declaration in declarations()}
         changed = self
-        for name, value in values.items():
+        for given, value in values.items():
+            name = present_name(given)
             if name not in known:
                 raise UnknownParameterError(f"unknown parameter {name}{_suggestion(name, known)}")
             changed = _with_value(changed, name.split("."), known[name].check(value))
@@ -610,6 +623,21 @@ def declarations() -> tuple[Declaration, ...]:
     )
 
 
+def present_name(name: str) -> str:
+    """Return what a parameter is called now; a name that it had before is warned about, once."""
+    for declared in declarations():
+        if name in declared.former_names:
+            if name not in _warned_of:
+                _warned_of.add(name)
+                _LOGGER.warning(
+                    "parameter %s is called %s now; the old name goes with the next minor version",
+                    name,
+                    declared.name,
+                )
+            return declared.name
+    return name
+
+
 def belongs_to_middleware(name: str) -> bool:
     """Whether `name` is one that every ROS node has, as `use_sim_time`."""
     return name.split(".")[0] in _MIDDLEWARE_NAMES
@@ -648,8 +676,10 @@ def _with_value(group: Any, path: list[str], value: Value) -> Any:
 
 
 def _suggestion(name: str, known: Mapping[str, Declaration]) -> str:
-    near = difflib.get_close_matches(name, known, n=1)
-    return f"; did you mean {near[0]}?" if near else ""
+    # Who mistypes a former name is told the present one.
+    present = {former: d.name for d in known.values() for former in d.former_names}
+    near = difflib.get_close_matches(name, [*known, *present], n=1)
+    return f"; did you mean {present.get(near[0], near[0])}?" if near else ""
 
 
 def _either(values: tuple[Value, ...]) -> str:

@@ -124,9 +124,9 @@ def test_sensitivity_halves_and_doubles_the_methods_numbers(
     changes = [row["parameters"] for row in content["sensitivity"][1:]]
     assert all(len(change) == 1 for change in changes)
     named = {name for change in changes for name in change}
-    assert {"seed.delta1", "tracking.patience"} <= named
+    assert {"seed.delta1", "tracking.max_age"} <= named
     # What changes nothing stands apart, with the reason.
-    idle = {"outline.threshold", "refine.epochs", "latency.haste_from", "latency.sparse_from"}
+    idle = {"outline.threshold", "refine.epochs", "latency.coast_from", "latency.sparse_from"}
     assert not idle & named
     assert {name.split()[0] for name in content["sensitivity_idle"]} == idle
     assert content["sensitivity_idle"]["outline.threshold 5.0"] == (

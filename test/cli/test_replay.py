@@ -424,7 +424,7 @@ def test_a_network_fitted_to_the_clip_is_given_up_between_epochs(
             "it is used with refine.mode none or optimise",
         ),
         (["-p", "queue_size:=3"], "queue_size has no effect here; it is used by the live node"),
-        (["-p", "latency.haste_from:=0"], ""),
+        (["-p", "latency.coast_from:=0"], ""),
         (["-p", "outline.threshold:=3.5", "-p", "refine.mode:=none"], ""),
     ],
 )

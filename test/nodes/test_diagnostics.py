@@ -72,13 +72,13 @@ def run_for_a_second(statistics, clock, frames=20):
         statistics.answered(RESULT, since_stamp=0.2, since_arrival=0.001 * (number + 1))
 
 
-def test_tells_how_many_were_answered_in_haste(statistics, clock):
+def test_tells_how_many_were_answered_coasting(statistics, clock):
     run_for_a_second(statistics, clock)
     for coasted in (True, False, True):
         statistics.answered(replace(RESULT, coasted=coasted), since_stamp=0.2, since_arrival=0.1)
     message = status(statistics.take())
-    assert (message.level, message.message) == (OK, "2 images answered in haste")
-    assert figures(message)["images answered in haste"] == "2"
+    assert (message.level, message.message) == (OK, "2 images answered by coasting")
+    assert figures(message)["images answered by coasting"] == "2"
     assert figures(message)["images answered"] == "23"
 
 

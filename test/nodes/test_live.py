@@ -19,7 +19,7 @@ from support.paths import SUPPORT
 
 CAMERAS = SUPPORT / "camera_process.py"
 SECONDS = 60
-COUNTED = ("images dropped", "images lost by the middleware", "images answered in haste")
+COUNTED = ("images dropped", "images lost by the middleware", "images answered by coasting")
 
 
 class Cameras:

@@ -178,3 +178,10 @@ def test_a_condition_is_described():
     condition = "Used only with outline.method background and refine.mode none or optimise."
     assert described["outline.threshold"].endswith(condition)
     assert described["queue_size"].endswith("Used by the live node only.")
+
+
+def test_a_former_name_given_at_start_sets_the_parameter_under_its_present_one(start):
+    node, handler, _ = start("-p", "tracking.patience:=77")
+    assert handler.current.tracking.max_age == 77
+    assert node.get_parameter("tracking.max_age").value == 77
+    assert not node.has_parameter("tracking.patience")

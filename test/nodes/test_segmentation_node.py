@@ -43,7 +43,7 @@ SETTINGS = {
     "resolution.processing": 160,
     "resolution.detail": 160,
     "queue_size": 500,
-    "latency.haste_from": 501,
+    "latency.coast_from": 501,
     "latency.sparse_from": 501,
 }
 ARGUMENTS = [item for name, value in SETTINGS.items() for item in ("-p", f"{name}:={value}")]
@@ -470,7 +470,7 @@ def test_two_nodes_in_namespaces_each_take_their_part_of_one_file(tmp_path, prob
 
 
 def test_a_slot_goes_to_the_next_object_when_its_own_has_ended(tmp_path, probe):
-    arguments = (*ARGUMENTS, "-r", "__ns:=/slots", "-p", "tracking.patience:=8")
+    arguments = (*ARGUMENTS, "-r", "__ns:=/slots", "-p", "tracking.max_age:=8")
     with NodeProcess(tmp_path / "output", *arguments) as node:
         labels = probe.listen("/slots/turbseg/labels", Image)
         slots = probe.listen("/slots/turbseg/objects/slot_0/mask", Image)

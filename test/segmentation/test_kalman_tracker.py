@@ -22,7 +22,7 @@ PLAIN = np.full((480, 864, 1), 128, np.uint8)
 
 
 def tracker_of(**changes: float) -> KalmanTracker:
-    known = {"confirmation": CONFIRMATION, "travel": 1.0, "patience": PATIENCE, "slots": SLOTS}
+    known = {"min_hits": CONFIRMATION, "travel": 1.0, "max_age": PATIENCE, "slots": SLOTS}
     return KalmanTracker(**{**known, **changes})
 
 
@@ -103,13 +103,13 @@ def test_an_object_keeps_its_id_at_constant_velocity() -> None:
 
 
 def test_an_object_is_known_once_it_was_seen_often_enough() -> None:
-    for confirmation in (1, 2, 6):
-        tracker = tracker_of(confirmation=confirmation, travel=0.0)
-        assert tracker.delay == confirmation - 1
-        for frame in range(confirmation):
+    for min_hits in (1, 2, 6):
+        tracker = tracker_of(min_hits=min_hits, travel=0.0)
+        assert tracker.delay == min_hits - 1
+        for frame in range(min_hits):
             detection = crossing(frame, (5, 30), (3, 0))
             observation = only(update(tracker, [detection], tilt=0.0))
-            assert observation.track.confirmed == (frame == confirmation - 1)
+            assert observation.track.confirmed == (frame == min_hits - 1)
 
 
 def test_earlier_observations_learn_the_id_of_their_track() -> None:
@@ -405,7 +405,7 @@ def union_mask(detections: Iterable[Detection]) -> np.ndarray:
     return picture
 
 
-def in_haste(tracker: KalmanTracker, frame: int, detection: Detection) -> list[Observation]:
+def coasting(tracker: KalmanTracker, frame: int, detection: Detection) -> list[Observation]:
     """Look for a detection in every fourth frame only."""
     if frame % 4:
         return tracker.coast(STILL_CAMERA, (200, 400))
@@ -416,7 +416,7 @@ def test_an_object_that_is_seen_in_every_fourth_frame_is_carried_along_between()
     tracker = tracker_of()
     for frame in range(40):
         there = crossing(frame, (30.0, 40.0), (3.0, 1.0))
-        observation = only(in_haste(tracker, frame, there))
+        observation = only(coasting(tracker, frame, there))
         assert observation.track.id == (1 if frame >= 4 else 0)
         assert jaccard(
             observation.detection.outline.in_frame((200, 400)), there.outline.in_frame((200, 400))
@@ -430,7 +430,7 @@ def test_what_changes_its_shape_becomes_no_object_by_being_carried_along() -> No
         there = crossing(
             frame, (30.0, 40.0), (1.0, 0.0), width=40 if wide else 8, height=6 if wide else 40
         )
-        for observation in in_haste(tracker, frame, there):
+        for observation in coasting(tracker, frame, there):
             assert not observation.track.confirmed
 
 
@@ -479,7 +479,7 @@ def test_what_was_not_found_comes_no_nearer_to_being_an_object_while_it_is_carri
 @given(seed=st.integers(0, 10_000))
 def test_whatever_is_seen_ids_and_slots_are_unique(seed: int) -> None:
     random = np.random.default_rng(seed)
-    tracker = tracker_of(confirmation=2, travel=0.0, patience=3)
+    tracker = tracker_of(min_hits=2, travel=0.0, max_age=3)
     ids_of: dict[int, int] = {}
     tracks = []
     for _ in range(20):

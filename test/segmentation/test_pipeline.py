@@ -74,9 +74,9 @@ def test_images_that_nobody_wants_are_not_kept(results: list[SegmentationResult]
         np.testing.assert_array_equal(result.labels, full.labels)
 
 
-def test_in_haste_the_square_is_carried_along_between_measurements() -> None:
+def test_under_load_the_square_coasts_between_measurements() -> None:
     segmenter = segmenter_by_rules(PARAMETERS)
-    waiting = PARAMETERS.latency.haste_from
+    waiting = PARAMETERS.latency.coast_from
     results = [result for frame in frames(CLIP) for result in segmenter.push(frame, waiting)]
     results += segmenter.flush(lambda: waiting)
     assert_sound(results)
@@ -89,18 +89,18 @@ def test_in_haste_the_square_is_carried_along_between_measurements() -> None:
 
 
 def test_what_has_piled_up_is_worked_off_when_there_is_time_for_it() -> None:
-    sooner = {"latency.warm_up": 16, "flow.every": 1, "tracking.confirmation": 2}
+    sooner = {"latency.warm_up": 16, "flow.every": 1, "tracking.min_hits": 2}
 
     def answered(waiting: int) -> list[int]:
         segmenter = segmenter_by_rules(PARAMETERS.replace(sooner))
         return [len(segmenter.push(frame, waiting)) for frame in frames(CLIP)]
 
-    haste = PARAMETERS.latency.haste_from
-    assert answered(waiting=haste) == [0] * 17 + [1] * 13
-    assert answered(waiting=haste - 1) == [0] * 16 + [1] + [2] * 9 + [1] * 4
+    coast_from = PARAMETERS.latency.coast_from
+    assert answered(waiting=coast_from) == [0] * 17 + [1] * 13
+    assert answered(waiting=coast_from - 1) == [0] * 16 + [1] + [2] * 9 + [1] * 4
 
 
-def test_what_is_left_is_flushed_in_haste_while_frames_wait() -> None:
+def test_what_is_left_coasts_while_frames_wait() -> None:
     segmenter = segmenter_by_rules(PARAMETERS)
     for frame in frames(CLIP):
         segmenter.push(frame)
@@ -108,7 +108,7 @@ def test_what_is_left_is_flushed_in_haste_while_frames_wait() -> None:
 
     def waiting() -> int:
         asked.append(len(asked))
-        return PARAMETERS.latency.haste_from if len(asked) > 2 else 0
+        return PARAMETERS.latency.coast_from if len(asked) > 2 else 0
 
     results = segmenter.flush(waiting)
     every = PARAMETERS.flow.every
@@ -119,12 +119,12 @@ def test_what_is_left_is_flushed_in_haste_while_frames_wait() -> None:
     assert len(ids(results)) == 1
 
 
-def test_in_haste_or_not_is_chosen_frame_by_frame() -> None:
+def test_to_coast_or_not_is_chosen_frame_by_frame() -> None:
     segmenter = segmenter_by_rules(PARAMETERS.replace({"latency.warm_up": 0}))
     results = []
     for number, frame in enumerate(frames(CLIP)):
-        results += segmenter.push(frame, PARAMETERS.latency.haste_from if number >= 20 else 0)
-    results += segmenter.flush(lambda: PARAMETERS.latency.haste_from)
+        results += segmenter.push(frame, PARAMETERS.latency.coast_from if number >= 20 else 0)
+    results += segmenter.flush(lambda: PARAMETERS.latency.coast_from)
     coasted = [result.frame.stamp for result in results if result.coasted]
     # What is segmented when a frame comes is one so many frames before it.
     first = 20 - PARAMETERS.flow.interval - PARAMETERS.flow.every - 1
@@ -133,20 +133,20 @@ def test_in_haste_or_not_is_chosen_frame_by_frame() -> None:
     assert len(ids(results)) == 1
 
 
-def test_always_in_haste_by_parameter() -> None:
-    results = segmented(CLIP, PARAMETERS.replace({"latency.haste_from": 0}))
+def test_always_coasting_by_parameter() -> None:
+    results = segmented(CLIP, PARAMETERS.replace({"latency.coast_from": 0}))
     assert any(result.coasted for result in results)
 
 
 def test_when_to_hurry_can_be_changed() -> None:
     segmenter = segmenter_by_rules(PARAMETERS)
-    segmenter.reconfigure(PARAMETERS.replace({"latency.haste_from": 0}))
+    segmenter.reconfigure(PARAMETERS.replace({"latency.coast_from": 0}))
     results = [result for frame in frames(CLIP) for result in segmenter.push(frame)]
     assert any(result.coasted for result in results)
 
 
 def measured(results: list[SegmentationResult]) -> list[int]:
-    """Where all is in haste, what was not carried along: where motion was measured."""
+    """Where all coasts, what did not: where motion was measured."""
     return [result.frame.stamp for result in results if not result.coasted]
 
 
@@ -168,8 +168,8 @@ def test_after_the_rush_motion_is_measured_as_often_as_before() -> None:
     results = []
     for number, frame in enumerate(frames(CLIP)):
         rush = number < 10 + every
-        results += segmenter.push(frame, latency.sparse_from if rush else latency.haste_from)
-    results += segmenter.flush(lambda: latency.haste_from)
+        results += segmenter.push(frame, latency.sparse_from if rush else latency.coast_from)
+    results += segmenter.flush(lambda: latency.coast_from)
     answers = range(0, len(results), every)
     assert measured(results) == [number for number in answers if number != every]
 

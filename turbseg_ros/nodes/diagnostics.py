@@ -29,7 +29,7 @@ class Event(enum.Enum):
 
     RECEIVED = "received"
     ANSWERED = "answered"
-    COASTED = "answered in haste"
+    COASTED = "answered by coasting"
     DROPPED = "dropped"
     LOST = "lost by the middleware"
     SKIPPED = "skipped"

@@ -21,6 +21,7 @@ from turbseg_ros.parameters import (
     UnknownParameterError,
     belongs_to_middleware,
     declarations,
+    present_name,
 )
 
 # A ROS range has two ends; these are the open ones.
@@ -135,5 +136,8 @@ def _given_at_start(node: Node) -> Parameters:
             parameters = parameters.replace({name: given.value})
         except UnknownParameterError as error:
             node.get_logger().warning(f"ignored: {error}")
+            node.undeclare_parameter(name)
+            continue
+        if present_name(name) != name:
             node.undeclare_parameter(name)
     return parameters

@@ -72,7 +72,7 @@ class TurbsegNode(Node):  # type: ignore[misc]  # rclpy is read as untyped
             on_incomplete=lambda: self._statistics.count(Event.INCOMPLETE),
         )
         self._objects = ObjectLog.on(
-            self.get_logger(), lambda: self._parameter_handler.current.tracking.patience
+            self.get_logger(), lambda: self._parameter_handler.current.tracking.max_age
         )
         self._input_watch = InputWatch(self.get_logger())
         self._awaits_first_image = True

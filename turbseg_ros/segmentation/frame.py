@@ -101,7 +101,7 @@ class SegmentationResult:
     float32 at processing resolution: pixels a frame (of the input image) by which a point breaks
     the camera's own motion. `tilt` is the measured turbulence: rms image motion a axis in input
     pixels, NaN while unknown. `ego_motion_model` names the model chosen for the camera's motion.
-    `coasted` tells that its objects were carried along in haste, not looked for.
+    `coasted` tells that its objects coasted under load: propagated, not looked for.
     """
 
     frame: Frame

@@ -58,25 +58,25 @@ class KalmanTracker:
     """Constant-velocity Kalman filters, matched to detections by the Hungarian method.
 
     A track becomes an object once it was seen often enough and has travelled: what shimmers or
-    sways on the spot does not. It keeps its id and slot until it has been lost for `patience`
+    sways on the spot does not. It keeps its id and slot until it has been lost for `max_age`
     frames. Ids count up and are never used again.
     """
 
     def __init__(
-        self, confirmation: int, travel: float, patience: int, slots: int, every: int = 1
+        self, min_hits: int, travel: float, max_age: int, slots: int, every: int = 1
     ) -> None:
         """Set up a tracker without tracks.
 
-        :param confirmation: frames in which a track must be seen to become an object.
+        :param min_hits: frames in which a track must be seen to become an object.
         :param travel: distance in pixels that it must have come, plus twice the tilt.
-        :param patience: frames that an object may be lost, or stand still, before it ends.
+        :param max_age: frames that an object may be lost, or stand still, before it ends.
         :param slots: number of output slots.
         :param every: every how many frames motion is measured; only then it may become an object.
         """
         self._every = every
-        self._confirmation = confirmation
+        self._min_hits = min_hits
         self._travel = travel
-        self._patience = patience
+        self._max_age = max_age
         self._free_slots = list(range(slots))
         self._tracks: list[Track] = []
         self._restless: list[_Place] = []
@@ -86,7 +86,7 @@ class KalmanTracker:
     @property
     def delay(self) -> int:
         """Frames until a track that is seen in each of them is confirmed."""
-        return self._confirmation - 1 + self._every - 1
+        return self._min_hits - 1 + self._every - 1
 
     @property
     def next_id(self) -> int:
@@ -262,9 +262,9 @@ class KalmanTracker:
         return matched
 
     def _confirm(self, track: Track, tilt: float) -> None:
-        if track.confirmed or track.hits < self._confirmation or not track.detection.moving:
+        if track.confirmed or track.hits < self._min_hits or not track.detection.moving:
             return
-        if not track.keeps_shape(max(self._confirmation - 1, 1), _LIKE):
+        if not track.keeps_shape(max(self._min_hits - 1, 1), _LIKE):
             return
         travelled = float(np.linalg.norm(track.position - track.birthplace))
         wanted = max(self._travel + 2.0 * tilt, _HONESTY * sum(track.claims))
@@ -284,8 +284,8 @@ class KalmanTracker:
         lost = [
             track
             for track in self._tracks
-            if track.misses > (self._patience if track.confirmed else 1)
-            or track.still > self._patience
+            if track.misses > (self._max_age if track.confirmed else 1)
+            or track.still > self._max_age
             or track in restless
             or not track.keeps_shape(SHAPE_SPAN, _LIKE, known=SHAPE_SPAN)
         ]

@@ -26,7 +26,7 @@ class Load:
     @classmethod
     def of(cls, waiting: int, latency: LatencyParameters) -> Load:
         """Return what is given up while so many frames wait."""
-        coasts = waiting >= latency.haste_from
+        coasts = waiting >= latency.coast_from
         return cls(
             coasts=coasts,
             measures_seldom=waiting >= latency.sparse_from,
