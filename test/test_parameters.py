@@ -73,6 +73,7 @@ def test_on_an_error_nothing_is_replaced(wrong: dict[str, object]) -> None:
         (name, value)
         for name, declaration in DECLARED.items()
         if declaration.type in (int, float)
+        if declaration.minimum is not None and declaration.maximum is not None
         for value in (declaration.minimum - 1, declaration.maximum + 1)
     ],
 )

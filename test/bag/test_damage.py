@@ -14,6 +14,7 @@ import tempfile
 import tracemalloc
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import lz4.frame
 import numpy as np
@@ -60,7 +61,7 @@ def content_of(bag: Path) -> bytearray:
     return bytearray((bag / "bag_0.mcap").read_bytes())
 
 
-def put(bag: Path, content: bytes, *, metadata: bool = True) -> Path:
+def put(bag: Path, content: bytes | bytearray, *, metadata: bool = True) -> Path:
     (bag / "bag_0.mcap").write_bytes(content)
     if not metadata:
         (bag / "metadata.yaml").unlink()
@@ -71,7 +72,7 @@ def stamps(path: Path) -> list[int]:
     return [record.stamp_ns for record in BagReader(path).messages()]
 
 
-def chunk_places(content: bytes) -> list[tuple[int, int]]:
+def chunk_places(content: bytes | bytearray) -> list[tuple[int, int]]:
     """Find the chunks: first byte, and the byte behind the last."""
     places, offset = [], 8
     while offset < len(content) - 8:
@@ -167,7 +168,7 @@ def test_every_layout_is_read_whole_and_cut(
     assert read == list(range(len(read)))
 
 
-def write_mcap(file: Path, kind: str = "std_msgs/msg/String", **options: object) -> None:
+def write_mcap(file: Path, kind: str = "std_msgs/msg/String", **options: Any) -> None:
     """Write 50 messages, some bytes each."""
     with file.open("wb") as stream:
         writer = McapWriter(stream, **options)

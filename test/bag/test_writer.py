@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import resource
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -45,11 +46,12 @@ def test_another_library_reads_the_same_stamps_types_and_bytes(tmp_path):
         recorded = list(reader.messages())
         assert [stamp for _, stamp, _ in recorded] == [*stamps, stamps[-1]]
         for (connection, _, cdr), image in zip(recorded[:4], images, strict=True):
-            read = reader.deserialize(cdr, connection.msgtype)
+            read: Any = reader.deserialize(cdr, connection.msgtype)
             assert (read.encoding, read.header.frame_id) == ("mono8", "camera")
             assert read.data.tobytes() == image.data.tobytes()
         connection, _, cdr = recorded[4]
-        marker = reader.deserialize(cdr, connection.msgtype).markers[0]
+        found: Any = reader.deserialize(cdr, connection.msgtype)
+        marker = found.markers[0]
         assert (marker.id, marker.text, marker.points[0].x) == (3, "car", 1.5)
 
 
@@ -93,7 +95,8 @@ def test_qos_is_recorded_in_the_metadata_and_in_the_file(tmp_path):
         writer.write("/chatter", String(data="hello"), 1)
     for path in (tmp_path / "clip", tmp_path / "clip" / "clip_0.mcap"):
         with AnyReader([path]) as reader:
-            (recorded,) = reader.connections[0].ext.offered_qos_profiles
+            extension: Any = reader.connections[0].ext
+            (recorded,) = extension.offered_qos_profiles
         assert recorded.depth == 3
         assert recorded.reliability == QosReliability.BEST_EFFORT
         assert recorded.durability == QosDurability.TRANSIENT_LOCAL

@@ -63,7 +63,8 @@ def start(bag: Path, out: Path) -> Iterator[Start]:
     started: list[subprocess.Popen[str]] = []
 
     def start(*arguments: str) -> subprocess.Popen[str]:
-        command = [sys.executable, "-m", "turbseg_ros.cli", "demo", "--bag", bag, "--out", out]
+        command = [sys.executable, "-m", "turbseg_ros.cli", "demo"]
+        command += ["--bag", str(bag), "--out", str(out)]
         pipe = subprocess.PIPE
         started.append(
             subprocess.Popen([*command, *arguments], stdout=pipe, stderr=pipe, text=True)

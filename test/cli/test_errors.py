@@ -87,6 +87,7 @@ def test_a_signal_lets_the_program_clean_up_undisturbed(number):
             print("clean", flush=True)
         """
     )
+    assert process.stdout is not None
     try:
         assert process.stdout.readline() == "started\n"
         process.send_signal(number)
@@ -101,6 +102,8 @@ def test_a_signal_lets_the_program_clean_up_undisturbed(number):
 
 def test_a_reader_that_goes_away_is_no_traceback():
     process = start('for i in range(10**6): print("line", i)')
+    assert process.stdout is not None
+    assert process.stderr is not None
     try:
         process.stdout.readline()
         process.stdout.close()

@@ -41,7 +41,7 @@ class DarkAreas:
     def push(self, frame: Frame) -> list[SegmentationResult]:
         labels = (frame.image < 60).astype(np.uint16)
         labels[self._last_row :] = 0
-        return [SegmentationResult(frame, labels, (), np.zeros((0, 0)), math.nan, "")]
+        return [SegmentationResult(frame, labels, (), np.zeros((0, 0), np.float32), math.nan, "")]
 
     def flush(self) -> list[SegmentationResult]:
         return []

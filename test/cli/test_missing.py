@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
+import sysconfig
 from pathlib import Path
 
 import pytest
@@ -28,6 +30,7 @@ ALL = (
 # Runs an executable while modules can't be imported: those named, comma-separated, first.
 WITHOUT = """
 import sys
+
 
 missing = sys.argv.pop(1).split(",")
 
@@ -108,8 +111,8 @@ def system_python(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     (tmp_path / "EXTERNALLY-MANAGED").touch()
     monkeypatch.setattr(sys, "prefix", sys.base_prefix)
     monkeypatch.setattr(sys, "executable", "/usr/bin/python3")
-    monkeypatch.setattr(dependencies.sysconfig, "get_path", lambda _name: str(tmp_path))
-    monkeypatch.setattr(dependencies.shutil, "which", lambda name: f"/usr/bin/{name}")
+    monkeypatch.setattr(sysconfig, "get_path", lambda _name: str(tmp_path))
+    monkeypatch.setattr(shutil, "which", lambda name: f"/usr/bin/{name}")
     return tmp_path
 
 

@@ -7,7 +7,6 @@ import signal
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import FrameType
@@ -65,10 +64,9 @@ class SquareFinder:
 
 
 @pytest.fixture(autouse=True)
-def known_segmenter(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def known_segmenter(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(replay, "clip_segmenter", lambda p, _: SquareFinder(p))
     monkeypatch.setattr(baselines, "clip_segmenter", SquareFinder)
-    return
 
 
 def picture(number: int) -> np.ndarray:
@@ -101,7 +99,7 @@ def test_result_bag_is_read_by_an_independent_library(bag: Path, tmp_path: Path)
     out = tmp_path / "out"
     assert replay.main([str(bag), "-o", str(out)]) == 0
     with AnyReader([out]) as reader:
-        labels = [
+        labels: list[Any] = [
             reader.deserialize(data, connection.msgtype)
             for connection, _, data in reader.messages(
                 [c for c in reader.connections if c.topic == "/turbseg/labels"]
@@ -228,7 +226,9 @@ def test_a_stamp_before_the_epoch_is_kept(tmp_path: Path) -> None:
 def test_overlay_strip_is_drawn_on_request(bag: Path, tmp_path: Path) -> None:
     overlay = tmp_path / "pictures" / "strip.png"
     replay.main([str(bag), "-o", str(tmp_path / "out"), "--overlay", str(overlay)])
-    assert cv2.imread(str(overlay)).shape == (3 * 320 + 8, 3 * 480 + 8, 3)
+    picture = cv2.imread(str(overlay))
+    assert picture is not None
+    assert picture.shape == (3 * 320 + 8, 3 * 480 + 8, 3)
 
 
 @pytest.mark.parametrize("executable", ["replay", "evaluate"])

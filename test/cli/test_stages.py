@@ -23,6 +23,7 @@ def test_every_stage_shows_what_moves(bag: Path, tmp_path: Path) -> None:
     out = tmp_path / "docs" / "stages.png"
     assert main([str(bag), "--frame", "12", "-o", str(out), *SMALL]) == 0
     picture = cv2.imread(str(out))
+    assert picture is not None
     height, width = (picture.shape[0] - 4) // 2, (picture.shape[1] - 8) // 3
     for row in range(2):
         for column in range(3):

@@ -240,7 +240,7 @@ def test_labels_above_255_stay_apart():
     [
         (np.resize(np.array([0, 1, 255], np.uint8), SHAPE), "hold 255 beside 1"),
         (np.arange(600, dtype=np.uint16).reshape(SHAPE), "600 values"),
-        (np.resize(np.uint8([[0, 0, 255], [9, 9, 8]]), (*SHAPE, 3)), "#080909, #ff0000"),
+        (np.resize(np.array([[0, 0, 255], [9, 9, 8]], np.uint8), (*SHAPE, 3)), "#080909, #ff0000"),
         (np.zeros(SHAPE, np.float32), "masks are float32"),
     ],
 )

@@ -11,7 +11,7 @@ import pytest
 
 from support.drawn_scene import DrawnScene
 from turbseg_ros.cli import benchmark as executable
-from turbseg_ros.evaluation.baselines import BackgroundSubtraction, TurbsegMethod
+from turbseg_ros.evaluation.baselines import BackgroundSubtraction, Method, TurbsegMethod
 from turbseg_ros.evaluation.benchmark import (
     Cost,
     Footprint,
@@ -86,7 +86,10 @@ def test_the_clock_lets_errors_pass_and_counts_their_stage():
 
 
 def test_every_stage_is_seen_at_work():
-    methods = [TurbsegMethod("turbseg", SMALL), BackgroundSubtraction("mog2", stabilised=False)]
+    methods: list[Method] = [
+        TurbsegMethod("turbseg", SMALL),
+        BackgroundSubtraction("mog2", stabilised=False),
+    ]
     timing = measure(methods, drawn_frames(30), warm_up=4, size=(160, 96))
     assert set(timing.stages) == set(STAGES)
     assert set(timing.frames) == {"turbseg", "mog2"}

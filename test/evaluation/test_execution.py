@@ -62,7 +62,8 @@ def alone(bags: list[Path], tmp_path_factory: pytest.TempPathFactory) -> dict[st
 def scheduler() -> Iterator[str]:
     """The address of a cluster that runs already."""
     with local_cluster(workers=1) as client:
-        yield client.scheduler.address
+        address: Any = client.scheduler
+        yield address.address
 
 
 def untimed(content: Any) -> Any:

@@ -42,7 +42,7 @@ class DarkAreas:
 
     def push(self, frame: Frame) -> list[SegmentationResult]:
         labels = (frame.image < 60).astype(np.uint16)
-        return [SegmentationResult(frame, labels, (), np.zeros((0, 0)), 0.4, "affine")]
+        return [SegmentationResult(frame, labels, (), np.zeros((0, 0), np.float32), 0.4, "affine")]
 
     def flush(self) -> list[SegmentationResult]:
         return []
@@ -198,7 +198,7 @@ def result(number: int, found: float) -> tuple[SegmentationResult, np.ndarray]:
     truth[40:50, 50:70] = 1
     labels[40:50, 50 : 50 + round(20 * found)] = 1
     frame = Frame(number, np.full((90, 160), 90, np.uint8))
-    return SegmentationResult(frame, labels, (), np.zeros((0, 0)), math.nan, ""), truth
+    return SegmentationResult(frame, labels, (), np.zeros((0, 0), np.float32), math.nan, ""), truth
 
 
 def test_the_worst_frames_lie_apart_and_are_in_order() -> None:

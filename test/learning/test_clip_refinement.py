@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,8 @@ from turbseg_ros.factory import clip_segmenter, motion_segmenter
 from turbseg_ros.parameters import ParameterError, Parameters
 from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResult
 
-torch = pytest.importorskip("torch", reason="torch is not installed: make test-learning")
+torch: Any = pytest.importorskip("torch", reason="torch is not installed: make test-learning")
+Tensor = Any
 
 from turbseg_ros.learning.clip_refinement import (  # noqa: E402
     Clip,
@@ -34,7 +37,7 @@ def squares(count: int) -> np.ndarray:
     return np.stack([SCENE.truth(t) for t in range(count)])[:, None].astype(np.float32)
 
 
-def true_flows(masks: np.ndarray) -> dict[int, torch.Tensor]:
+def true_flows(masks: np.ndarray) -> dict[int, Tensor]:
     """F(t+g→t) of the square; the ground is at rest."""
     flows = {}
     for g in NEIGHBOURS:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,8 @@ from turbseg_ros.learning.torch_import import NetworkError
 from turbseg_ros.parameters import ParameterError, Parameters
 from turbseg_ros.segmentation.frame import Frame
 
-torch = pytest.importorskip("torch", reason="torch is not installed: make test-learning")
+torch: Any = pytest.importorskip("torch", reason="torch is not installed: make test-learning")
+Tensor = Any
 
 from torchvision.models.optical_flow import raft_large, raft_small  # noqa: E402
 
@@ -33,7 +35,7 @@ def picture(shape: tuple[int, int], seed: int) -> np.ndarray:
     return np.random.default_rng(seed).integers(0, 256, shape, dtype=np.uint8)
 
 
-def as_published_by_the_authors(parameters: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+def as_published_by_the_authors(parameters: dict[str, Tensor]) -> dict[str, Tensor]:
     """Name parameters as RAFT's authors do, some of them twice."""
     steps = (
         ("feature_encoder.", "fnet."),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -104,7 +105,7 @@ def test_every_message_comes_back_from_serialisation_as_it_went(
             assert_alike(received, message, output.name)
 
 
-def assert_alike(received: object, sent: object, name: str) -> None:
+def assert_alike(received: Any, sent: Any, name: str) -> None:
     """Compare field by field; 32 bits hold a number less exactly than Python does."""
     if isinstance(sent, float | int):
         assert received == pytest.approx(sent, rel=1e-6, abs=1e-12), name

@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 import types
+from typing import Any
 
 import pytest
 import yaml
@@ -24,7 +25,7 @@ LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch.py"))
 @pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path: path.name)
 def test_launch_files_describe_what_they_start(path):
     pytest.importorskip("launch_ros")
-    content: dict[str, object] = {}
+    content: dict[str, Any] = {}
     exec(compile(path.read_text(), path, "exec"), content)
     assert content["generate_launch_description"]().entities
 
@@ -97,10 +98,10 @@ def launched_node(path, monkeypatch):
         "launch_ros.actions": types.SimpleNamespace(Node=lambda **given: started.append(given)),
         "launch_ros.substitutions": types.SimpleNamespace(FindPackageShare=str),
     }
-    launch.LaunchDescription = list
+    launch.__dict__["LaunchDescription"] = list
     for name, module in modules.items():
         monkeypatch.setitem(sys.modules, name, module)
-    content: dict[str, object] = {}
+    content: dict[str, Any] = {}
     exec(compile(path.read_text(), path, "exec"), content)
     content["generate_launch_description"]()
     (node,) = started

@@ -97,7 +97,7 @@ class RandomCamera:
     def _compressed(self) -> CompressedImage:
         random = self._random
         height, width = (max(side, 1) for side in self._size)
-        dtype = random.choice([np.uint8, np.uint16])
+        dtype = (np.uint8, np.uint16)[random.integers(2)]
         picture = random.integers(0, np.iinfo(dtype).max, (height, width, 3)).astype(dtype)
         if random.random() < 0.5:
             picture = picture[:, :, 0]

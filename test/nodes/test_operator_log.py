@@ -42,7 +42,9 @@ def result(number: int, *ids: int) -> SegmentationResult:
     objects = [MovingObject(i, i, (10.0 * i, 5.0), (1.0, 0.0), 20, (0, 0, 5, 4)) for i in ids]
     frame = Frame(number * PERIOD, np.zeros((8, 9), np.uint8))
     labels = np.zeros((8, 9), np.uint16)
-    return SegmentationResult(frame, labels, tuple(objects), np.zeros((2, 2)), 0.1, "affine")
+    return SegmentationResult(
+        frame, labels, tuple(objects), np.zeros((2, 2), np.float32), 0.1, "affine"
+    )
 
 
 def test_objects_that_appear_and_end_are_told_once() -> None:

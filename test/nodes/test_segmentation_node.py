@@ -292,7 +292,7 @@ def test_a_disabled_node_hears_nothing_until_it_is_enabled(camera, labels, probe
 
 
 def set_parameters(probe, **values):
-    kinds = {int: ("integer_value", ParameterType.PARAMETER_INTEGER)}
+    kinds: dict[type, tuple[str, int]] = {int: ("integer_value", ParameterType.PARAMETER_INTEGER)}
     kinds[float] = ("double_value", ParameterType.PARAMETER_DOUBLE)
     parameters = []
     for name, value in values.items():

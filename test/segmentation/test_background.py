@@ -153,7 +153,7 @@ def test_views_are_aligned_by_where_they_look() -> None:
     shifts = [(0, 0), (5, -2), (-7, 3), (4, 4), (-3, -5)]
     views = [
         view(
-            cv2.warpAffine(GROUND, np.float32([[1, 0, x], [0, 1, y]]), (90, 60))[..., None],
+            cv2.warpAffine(GROUND, np.array([[1.0, 0.0, x], [0.0, 1.0, y]]), (90, 60))[..., None],
             shift=(x, y),
         )
         for x, y in shifts

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from typing import Any
 
 import numpy as np
 import pytest
@@ -170,7 +171,8 @@ def test_no_shape_of_picture_costs_more_than_any_other(
 
 def test_the_65536th_object_gets_label_1_again_and_its_own_id() -> None:
     segmenter = segmenter_by_rules(PARAMETERS)
-    segmenter._strategies.tracker._next_id = 65_535
+    tracker: Any = segmenter._strategies.tracker
+    tracker._next_id = 65_535
     results: list[SegmentationResult] = []
     for part in range(2):
         for number, image in enumerate(DrawnScene().images(20)):

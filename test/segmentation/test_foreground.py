@@ -64,8 +64,8 @@ def area_around(*objects: Mask, margin: int = 7) -> MovingArea:
     for found in objects:
         box = Box.around(found)
         heart[box.y0 + 7 : box.y1 - 7, box.x0 + 7 : box.x1 - 7] = True
-    mask, core, heart = (CroppedMask.of(each) for each in (smeared, core, heart))
-    return MovingArea(mask, core, heart, (3.0, 0.0))
+    search, probable, certain = (CroppedMask.of(each) for each in (smeared, core, heart))
+    return MovingArea(search, probable, certain, (3.0, 0.0))
 
 
 def cut_out(image: np.ndarray, areas: list[MovingArea], views: list[AlignedFrame]) -> list[Mask]:

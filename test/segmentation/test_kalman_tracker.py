@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,8 +22,13 @@ CONFIRMATION, PATIENCE, SLOTS = 4, 10, 3
 PLAIN = np.full((480, 864, 1), 128, np.uint8)
 
 
-def tracker_of(**changes: float) -> KalmanTracker:
-    known = {"min_hits": CONFIRMATION, "travel": 1.0, "max_age": PATIENCE, "slots": SLOTS}
+def tracker_of(**changes: Any) -> KalmanTracker:
+    known: dict[str, Any] = {
+        "min_hits": CONFIRMATION,
+        "travel": 1.0,
+        "max_age": PATIENCE,
+        "slots": SLOTS,
+    }
     return KalmanTracker(**{**known, **changes})
 
 
@@ -42,7 +48,7 @@ def seen(
 
 
 def crossing(
-    frame: int, start: tuple[float, float], velocity: tuple[float, float], **shape: int
+    frame: int, start: tuple[float, float], velocity: tuple[float, float], **shape: Any
 ) -> Detection:
     """Where something that moves at constant velocity is seen in a frame."""
     x, y = (p + frame * v for p, v in zip(start, velocity, strict=True))
@@ -484,7 +490,12 @@ def test_whatever_is_seen_ids_and_slots_are_unique(seed: int) -> None:
     tracks = []
     for _ in range(20):
         detections = [
-            seen(*random.uniform(0, 100, 2), tuple(random.normal(0, 3, 2)), width=int(size))
+            seen(
+                random.uniform(0, 100),
+                random.uniform(0, 100),
+                (random.normal(0, 3), random.normal(0, 3)),
+                width=int(size),
+            )
             for size in random.integers(3, 30, random.integers(0, 5))
         ]
         observations = update(tracker, detections)
@@ -520,7 +531,7 @@ def test_kmeans_gives_every_mask_an_id_up_to_k(
     np.testing.assert_array_equal(kmeans_ids(centroids, count), ids)
     # What lies in one place is one object.
     of_place: dict[tuple[float, float], set[int]] = {}
-    for point, identity in zip(np.float32(points).reshape(-1, 2), ids, strict=True):
+    for point, identity in zip(np.asarray(points, np.float32).reshape(-1, 2), ids, strict=True):
         of_place.setdefault(tuple(point), set()).add(int(identity))
     assert all(len(found) == 1 for found in of_place.values())
 

@@ -65,7 +65,7 @@ def test_over_a_long_time_what_is_slower_is_added(moving: Moving) -> None:
     slow = np.zeros(SHAPE, bool)
     slow[60:80, 110:140] = True
     short, long = estimate(square()), estimate(square() | slow)
-    long = replace(long, noise=long.noise / 10)
+    long = replace(long, noise=long.noise / np.float32(10))
     field = long.velocity.copy()
     field[slow] = (0.1, 0.0)
     long = replace(long, velocity=field, motion_map=np.linalg.norm(field, axis=2))

@@ -390,7 +390,7 @@ def shimmering(rms: float, count: int, shift: tuple[int, int] = (0, 0)) -> list[
             (p + number * s + t).astype(np.float32)
             for p, s, t in zip((x, y), shift, tilt, strict=True)
         ]
-        image = cv2.remap(ground, *at, cv2.INTER_LINEAR)
+        image = cv2.remap(ground, at[0], at[1], cv2.INTER_LINEAR)
         images.append(np.clip(image + random.normal(0, 2, SHAPE), 0, 255).astype(np.uint8))
     return images
 

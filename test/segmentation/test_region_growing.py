@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -42,7 +44,7 @@ def drawn_motion(
     )
 
 
-def drawn_map(magnitude: np.ndarray, **known: object) -> MotionEstimate:
+def drawn_map(magnitude: np.ndarray, **known: Any) -> MotionEstimate:
     """Motion to the right with the given speed at each pixel."""
     return drawn_motion(np.dstack([magnitude, np.zeros_like(magnitude)]), **known)
 

@@ -39,7 +39,7 @@ def warped(image: ByteImage, transform: np.ndarray) -> ByteImage:
     )
 
 
-def largest_error(found: np.ndarray, true: np.ndarray) -> float:
+def largest_error(found: np.ndarray | None, true: np.ndarray) -> float:
     """Distance in pixels between where two transforms take a pixel, where it is worst."""
     points = pixel_grid(SHAPE).reshape(-1, 1, 2).astype(float)
     there = cv2.perspectiveTransform(points, found) - cv2.perspectiveTransform(points, true)
@@ -135,6 +135,7 @@ def test_with_too_few_corners_the_translation_stands() -> None:
     window[50:100, 90:150] = 200
     target = warped(window, shift(4.0, -2.0))
     found = register_affine(window, target)
+    assert found is not None
     np.testing.assert_array_equal(found, phase_correlation(window, target)[0])
     np.testing.assert_allclose(found[:2, 2], (4.0, -2.0), atol=0.5)
 

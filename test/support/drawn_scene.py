@@ -70,4 +70,5 @@ class DrawnScene:
 
 def jaccard(mask: Mask, truth: Mask) -> float:
     """Return the share of two masks' union that both hold."""
-    return float(np.count_nonzero(mask & truth) / max(np.count_nonzero(mask | truth), 1))
+    union = int(np.count_nonzero(mask | truth))
+    return float(np.count_nonzero(mask & truth)) / max(union, 1)

@@ -9,6 +9,10 @@ from turbseg_ros.parameters import Declaration, declarations
 DECLARED = {declaration.name: declaration for declaration in declarations()}
 
 
+def _whole(bound: float | None) -> int | None:
+    return None if bound is None else int(bound)
+
+
 def values_of(declaration: Declaration) -> st.SearchStrategy:
     """Any value that a parameter takes."""
     if declaration.choices:
@@ -16,7 +20,7 @@ def values_of(declaration: Declaration) -> st.SearchStrategy:
     if declaration.type is bool:
         return st.booleans()
     if declaration.type is int:
-        return st.integers(declaration.minimum, declaration.maximum)
+        return st.integers(_whole(declaration.minimum), _whole(declaration.maximum))
     if declaration.type is float:
         return st.floats(declaration.minimum, declaration.maximum)
     return st.text()
