@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -17,6 +18,7 @@ from support.deadly_method import Deadly
 from support.drawn_bag import write_drawn_bag
 from turbseg_ros.bag.topics import TRUTH_TOPIC
 from turbseg_ros.cli.evaluate import main
+from turbseg_ros.dependencies import how_to_install
 from turbseg_ros.evaluation.baselines import BackgroundSubtraction
 from turbseg_ros.evaluation.execution import (
     ClusterError,
@@ -119,9 +121,15 @@ def test_a_scheduler_that_is_not_there_is_one_line(
 
 def test_without_dask_a_cluster_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(ClusterError, match="pip install distributed"), local_cluster(2):
+    with (
+        pytest.raises(ClusterError, match=re.escape(how_to_install("distributed"))),
+        local_cluster(2),
+    ):
         pass
-    with pytest.raises(ClusterError, match="pip install distributed"), remote_cluster("tcp://x"):
+    with (
+        pytest.raises(ClusterError, match=re.escape(how_to_install("distributed"))),
+        remote_cluster("tcp://x"),
+    ):
         pass
 
 

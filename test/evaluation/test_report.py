@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 from support import browser
 from support.drawn_bag import write_drawn_bag
 from turbseg_ros.cli.evaluate import main
+from turbseg_ros.dependencies import how_to_install
 from turbseg_ros.evaluation import baselines
 from turbseg_ros.evaluation.chart import Chart, Line, round_values
 from turbseg_ros.evaluation.pictures import Illustrator
@@ -188,7 +189,7 @@ def test_in_a_browser_the_page_fits_the_screen(
 
 def test_without_jinja_a_report_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "jinja2", None)
-    with pytest.raises(ReportError, match="pip install jinja2"):
+    with pytest.raises(ReportError, match=re.escape(how_to_install("jinja2"))):
         ReportWriter()
 
 

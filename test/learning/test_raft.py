@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from turbseg_ros.dependencies import how_to_install
 from turbseg_ros.factory import motion_segmenter
 from turbseg_ros.learning.torch_import import NetworkError
 from turbseg_ros.parameters import ParameterError, Parameters
@@ -187,7 +188,7 @@ def test_missing_torch_is_told_in_one_line(monkeypatch) -> None:
     with pytest.raises(ParameterError) as refusal:
         motion_segmenter(Parameters.from_mapping({"flow.backend": "raft_large"}))
     assert str(refusal.value) == (
-        "flow.backend raft_large needs torch: pip install 'turbseg_ros[learning]'"
+        f"flow.backend raft_large needs torch: {how_to_install('torch')}"
     )
 
 
