@@ -256,6 +256,13 @@ class SeedParameters:
         minimum=0.0,
         maximum=10.0,
     )
+    evidence: float = parameter(
+        2.0,
+        "Least gain by which the pictures must bear a window's motion out: how much less a "
+        "neighbour differs along the flow than at rest, in units of the picture's noise.",
+        minimum=0.0,
+        maximum=100.0,
+    )
 
 
 @dataclass(frozen=True)

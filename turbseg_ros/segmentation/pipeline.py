@@ -3,7 +3,7 @@
     paper    stage                     here, and as the paper has it
     eq. 1    stabilised flow           average.SlopeAverage; flow.mean_flow
     eq. 2    geometric consistency     motion.AffineMotion; geometry.sampson_distance
-             seeds                     region_growing.seed_strength
+             seeds                     region_growing.seed_strength; evidence.PictureEvidence
     eq. 3    seeded region growing     region_growing.similar_velocity; similar_magnitude
     eq. 4    mask ids                  kalman_tracker.KalmanTracker; kmeans_ids.kmeans_ids
     eq. 5-9  refinement                outliner.RefinedDifference; learning.clip_refinement
@@ -13,6 +13,7 @@ What stands behind each name, and why it departs from the paper, is in docs/meth
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from concurrent.futures import Executor
 
@@ -20,8 +21,9 @@ import numpy as np
 
 from turbseg_ros.arrays import Map, Mask, Matrix
 from turbseg_ros.parameters import Parameters
-from turbseg_ros.segmentation.average import LONG_BASELINE
+from turbseg_ros.segmentation.average import LONG_BASELINE, SHORT_BASELINE
 from turbseg_ros.segmentation.cropped_mask import union_mask
+from turbseg_ros.segmentation.evidence import PictureEvidence
 from turbseg_ros.segmentation.frame import Frame
 from turbseg_ros.segmentation.load import Load
 from turbseg_ros.segmentation.motion import MotionEstimate
@@ -113,22 +115,29 @@ class Pipeline:
         if len(neighbourhood.neighbours) < 2:
             return None
         with self._observer.stage("optical flow"):
-            flows = self._strategies.flow.flows_to(neighbourhood.grey, neighbourhood.aligned())
+            aligned = neighbourhood.aligned()
+            flows = self._strategies.flow.flows_to(neighbourhood.grey, aligned)
         # Average (eq. 1) and distance from the camera's own motion (eq. 2).
         with self._observer.stage("motion map"):
             valid = self._valid(neighbourhood.transforms)
             motions = self._strategies.measure.motions(flows, valid, job.interval)
-        # Seeds, and the regions that grow from them (eq. 3).
+        # Seeds that the pictures bear out, and the regions that grow from them (eq. 3).
         with self._observer.stage("region growing"):
-            return what_moves(motions, self._grow, self.resolution.detail)
+            near = {k: aligned[k] for k in aligned if abs(k) <= SHORT_BASELINE * job.interval}
+            evidence = PictureEvidence(neighbourhood.grey, near or aligned, flows)
+            grow = functools.partial(self._grow, evidence)
+            return what_moves(motions, grow, self.resolution.detail)
 
     def cancel(self) -> None:
         """Give up what is measured ahead."""
         self._worker.cancel()
 
-    def _grow(self, motion: MotionEstimate, taken: Mask) -> list[Region]:
+    def _grow(
+        self, evidence: PictureEvidence, motion: MotionEstimate, taken: Mask
+    ) -> list[Region]:
         seed, growing = self._parameters.seed, self._parameters.growing
         strength = seed_strength(motion, seed.size, seed.delta1, seed.delta2)
+        strength = evidence.borne_out(strength, seed.size, seed.evidence)
         similarity = self._strategies.similarity
         return grow_regions(
             motion, strength, seed.size, growing.delta, similarity, _MIN_REGION, taken
