@@ -263,6 +263,13 @@ class SeedParameters:
         minimum=0.0,
         maximum=100.0,
     )
+    clutter: float = parameter(
+        1.0,
+        "Factor by which what a place is known to move by without anything being there counts "
+        "as noise.",
+        minimum=0.0,
+        maximum=100.0,
+    )
 
 
 @dataclass(frozen=True)

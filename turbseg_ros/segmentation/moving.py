@@ -10,6 +10,7 @@ import numpy as np
 
 from turbseg_ros.arrays import Map, Mask, Matrix
 from turbseg_ros.segmentation.areas import SMEAR, MovingArea, moving_areas
+from turbseg_ros.segmentation.clutter import in_cells
 from turbseg_ros.segmentation.cropped_mask import Box, convex_hull, union_mask
 from turbseg_ros.segmentation.geometry import translation
 from turbseg_ros.segmentation.motion import MotionEstimate, agree, merged
@@ -91,9 +92,9 @@ def propagated(
         for values, before in ((velocity, motion.velocity), (motion_map, motion.motion_map)):
             there = _moved(to_later, before, outline.box)
             values[outline.box.slices][outline.mask] = there[outline.mask]
-    return Moving(
-        replace(motion, velocity=velocity, motion_map=motion_map), regions, areas, measured=False
-    )
+    clutter = None if motion.clutter is None else _moved(in_cells(ego_motion), motion.clutter)
+    motion = replace(motion, velocity=velocity, motion_map=motion_map, clutter=clutter)
+    return Moving(motion, regions, areas, measured=False)
 
 
 def _own_motion(velocity: tuple[float, float], frames: int) -> Matrix:

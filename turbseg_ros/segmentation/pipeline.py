@@ -16,13 +16,15 @@ from __future__ import annotations
 import functools
 from collections.abc import Mapping
 from concurrent.futures import Executor
+from dataclasses import replace
 
 import numpy as np
 
 from turbseg_ros.arrays import Map, Mask, Matrix
 from turbseg_ros.parameters import Parameters
 from turbseg_ros.segmentation.average import LONG_BASELINE, SHORT_BASELINE
-from turbseg_ros.segmentation.cropped_mask import union_mask
+from turbseg_ros.segmentation.clutter import ClutterMemory, cells_of_objects, with_clutter
+from turbseg_ros.segmentation.cropped_mask import CroppedMask, union_mask
 from turbseg_ros.segmentation.evidence import PictureEvidence
 from turbseg_ros.segmentation.frame import Frame
 from turbseg_ros.segmentation.load import Load
@@ -73,7 +75,11 @@ class Pipeline:
             parameters.flow,
             parameters.is_causal,
             observer,
+            self._travelled_objects,
         )
+        # Of the short baseline and of the longer ones.
+        self._clutter: list[ClutterMemory] = []
+        self._tracked = -1
         self._outliner = Outliner(self.window, resolution, strategies.outlines, observer)
 
     def segment_frame(self, index: int, frame: Frame, load: Load) -> PendingResult:
@@ -85,6 +91,7 @@ class Pipeline:
         moving = self._schedule.what_moves(index, load.measures_seldom)
         if moving is None:
             tracker.update([], ego_motion, 0.0, self.window[index].detail)
+            self._tracked = index
             return PendingResult(frame, resolution)
         self._observer.motion(frame.stamp, moving)
 
@@ -102,6 +109,8 @@ class Pipeline:
                 image = self.window[index].detail
                 observations = tracker.update(detections, ego_motion, tilt, image)
 
+        self._tracked = index
+
         # What is an object is no background, and only where one is does motion go on.
         shape = resolution.detail_shape
         masks = [seen.detection.outline.dilated(GUARD, shape) for seen in observations]
@@ -112,6 +121,8 @@ class Pipeline:
     def measure_motion(self, job: MotionJob) -> Moving | None:
         """Measure what moves in a frame; None where there is too little to compare it with."""
         neighbourhood = job.neighbourhood
+        for memory in self._clutter:
+            memory.carry(job.since_last)
         if len(neighbourhood.neighbours) < 2:
             return None
         with self._observer.stage("optical flow"):
@@ -125,6 +136,7 @@ class Pipeline:
         with self._observer.stage("region growing"):
             near = {k: aligned[k] for k in aligned if abs(k) <= SHORT_BASELINE * job.interval}
             evidence = PictureEvidence(neighbourhood.grey, near or aligned, flows)
+            motions = self._with_clutter(motions, evidence, job)
             grow = functools.partial(self._grow, evidence)
             return what_moves(motions, grow, self.resolution.detail)
 
@@ -132,11 +144,39 @@ class Pipeline:
         """Give up what is measured ahead."""
         self._worker.cancel()
 
+    def _with_clutter(
+        self, motions: list[MotionEstimate], evidence: PictureEvidence, job: MotionJob
+    ) -> list[MotionEstimate]:
+        """Return estimates with what is known of each place, and learn from them."""
+        self._clutter += [ClutterMemory() for _ in motions[len(self._clutter) :]]
+        shape = self.resolution.processing_shape
+        held = cells_of_objects(job.objects, self.resolution.detail, shape)
+        textured = evidence.textured()
+        return [
+            replace(
+                motion,
+                clutter=memory.take(
+                    motion.velocity, motion.noise, motion.visible & textured, held, job.frames
+                ),
+            )
+            for motion, memory in zip(motions, self._clutter, strict=False)
+        ]
+
+    def _travelled_objects(self, index: int) -> list[CroppedMask]:
+        """Return where objects that have come some way should be in a frame to come."""
+        way = self.window.way(self._tracked, index)
+        if way is None:
+            return []
+        return self._strategies.tracker.travelled_outlines(
+            self.resolution.to_detail(way), self.resolution.detail_shape, index - self._tracked
+        )
+
     def _grow(
         self, evidence: PictureEvidence, motion: MotionEstimate, taken: Mask
     ) -> list[Region]:
         seed, growing = self._parameters.seed, self._parameters.growing
-        strength = seed_strength(motion, seed.size, seed.delta1, seed.delta2)
+        restless = replace(motion, noise=with_clutter(motion.noise, motion.clutter, seed.clutter))
+        strength = seed_strength(restless, seed.size, seed.delta1, seed.delta2)
         strength = evidence.borne_out(strength, seed.size, seed.evidence)
         similarity = self._strategies.similarity
         return grow_regions(

@@ -114,6 +114,15 @@ class FrameWindow:
         """Whether the scene of a frame goes on until a later one."""
         return all(self._frames[k].continues for k in self._frames if source < k <= target)
 
+    def way(self, source: int, target: int) -> Matrix | None:
+        """Return what takes a frame's processing pixels to a later one's; None across a cut.
+
+        None as well where the frame isn't at hand.
+        """
+        if source not in self._frames or not self.goes_on(source, target):
+            return None
+        return self.transform(source, target)
+
     def follows_cut(self, prepared: PreparedFrame) -> bool:
         """Whether a frame, not yet taken, goes on from a newest one that began a new scene.
 
