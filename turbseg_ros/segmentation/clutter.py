@@ -121,11 +121,10 @@ def in_cells(transform: Matrix) -> Matrix:
     return result
 
 
-def enlarged(cells: npt.NDArray[np.uint8], shape: tuple[int, ...]) -> npt.NDArray[np.uint8]:
+def enlarged(cells: Mask, shape: tuple[int, ...]) -> Mask:
     """Return cells, hxw, as pixels of a frame whose shape begins with rows and columns."""
-    pixels: npt.NDArray[np.uint8] = cv2.resize(
-        cells, (shape[1], shape[0]), interpolation=cv2.INTER_NEAREST
-    )
+    size = shape[1], shape[0]
+    pixels: Mask = cv2.resize(cells.view(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
     return pixels
 
 

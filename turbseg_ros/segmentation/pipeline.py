@@ -18,12 +18,18 @@ from collections.abc import Mapping
 from concurrent.futures import Executor
 from dataclasses import replace
 
+import cv2
 import numpy as np
 
 from turbseg_ros.arrays import Map, Mask, Matrix
 from turbseg_ros.parameters import Parameters
 from turbseg_ros.segmentation.average import LONG_BASELINE, SHORT_BASELINE
-from turbseg_ros.segmentation.clutter import ClutterMemory, cells_of_objects, with_clutter
+from turbseg_ros.segmentation.clutter import (
+    ClutterMemory,
+    cells_of_objects,
+    enlarged,
+    with_clutter,
+)
 from turbseg_ros.segmentation.cropped_mask import CroppedMask, union_mask
 from turbseg_ros.segmentation.evidence import PictureEvidence
 from turbseg_ros.segmentation.frame import Frame
@@ -33,11 +39,12 @@ from turbseg_ros.segmentation.motion_schedule import SPARSE, MotionSchedule
 from turbseg_ros.segmentation.motion_worker import MotionJob, MotionWorker
 from turbseg_ros.segmentation.moving import Moving, what_moves
 from turbseg_ros.segmentation.observer import StageObserver
-from turbseg_ros.segmentation.outliner import GUARD, Outliner
+from turbseg_ros.segmentation.outliner import GUARD, Outliner, overlay_masks
 from turbseg_ros.segmentation.pending_result import PendingResult
 from turbseg_ros.segmentation.region_growing import Region, grow_regions, seed_strength
 from turbseg_ros.segmentation.registration import visible
 from turbseg_ros.segmentation.resolution import Resolution
+from turbseg_ros.segmentation.static_overlay import OverlayMemory
 from turbseg_ros.segmentation.strategies import Strategies
 from turbseg_ros.segmentation.window import FrameWindow
 
@@ -63,6 +70,8 @@ class Pipeline:
     ) -> None:
         self.resolution = resolution
         self.window = _frame_window(parameters, strategies)
+        # Which cells of the picture stand still while the scene moves, hxw; None while unknown.
+        self.overlay: Mask | None = None
         self._parameters = parameters
         self._strategies = strategies
         self._observer = observer
@@ -79,6 +88,7 @@ class Pipeline:
         )
         # Of the short baseline and of the longer ones.
         self._clutter: list[ClutterMemory] = []
+        self._overlays = OverlayMemory()
         self._tracked = -1
         self._outliner = Outliner(self.window, resolution, strategies.outlines, observer)
 
@@ -93,6 +103,7 @@ class Pipeline:
             tracker.update([], ego_motion, 0.0, self.window[index].detail)
             self._tracked = index
             return PendingResult(frame, resolution)
+        self.overlay = moving.overlay
         self._observer.motion(frame.stamp, moving)
 
         coasted = load.coasts and not moving.measured
@@ -114,7 +125,7 @@ class Pipeline:
         # What is an object is no background, and only where one is does motion go on.
         shape = resolution.detail_shape
         masks = [seen.detection.outline.dilated(GUARD, shape) for seen in observations]
-        self.window.mark_objects(index, masks)
+        self.window.mark_objects(index, [*masks, *overlay_masks(moving, shape)])
         self._schedule.keep_where(union_mask(masks, shape))
         return PendingResult(frame, resolution, moving.motion, observations, coasted)
 
@@ -130,7 +141,10 @@ class Pipeline:
             flows = self._strategies.flow.flows_to(neighbourhood.grey, aligned)
         # Average (eq. 1) and distance from the camera's own motion (eq. 2).
         with self._observer.stage("motion map"):
-            valid = self._valid(neighbourhood.transforms)
+            overlay = self._overlays.take(
+                neighbourhood.grey, neighbourhood.neighbours, aligned, neighbourhood.transforms
+            )
+            valid = self._valid(neighbourhood.transforms, overlay)
             motions = self._strategies.measure.motions(flows, valid, job.interval)
         # Seeds that the pictures bear out, and the regions that grow from them (eq. 3).
         with self._observer.stage("region growing"):
@@ -138,7 +152,8 @@ class Pipeline:
             evidence = PictureEvidence(neighbourhood.grey, near or aligned, flows)
             motions = self._with_clutter(motions, evidence, job)
             grow = functools.partial(self._grow, evidence)
-            return what_moves(motions, grow, self.resolution.detail)
+            moving = what_moves(motions, grow, self.resolution.detail)
+        return replace(moving, overlay=overlay)
 
     def cancel(self) -> None:
         """Give up what is measured ahead."""
@@ -183,12 +198,19 @@ class Pipeline:
             motion, strength, seed.size, growing.delta, similarity, _MIN_REGION, taken
         )
 
-    def _valid(self, transforms: Mapping[int, Matrix]) -> dict[int, Map]:
-        """Return by interval which pixels the other frame sees, HxW, 1 or 0."""
+    def _valid(self, transforms: Mapping[int, Matrix], overlay: Mask) -> dict[int, Map]:
+        """Return by interval which pixels of the scene the other frame sees, HxW, 1 or 0.
+
+        :param overlay: hxw cells that are no scene; flow smears past them.
+        """
         shape = self.resolution.processing_shape
-        return {
+        valid = {
             k: visible(shape, each, _BORDER).astype(np.float32) for k, each in transforms.items()
         }
+        if not overlay.any():
+            return valid
+        scene = ~enlarged(cv2.dilate(overlay.view(np.uint8), np.ones((5, 5), np.uint8)) > 0, shape)
+        return {k: seen * scene for k, seen in valid.items()}
 
     def _ego_motion(self, index: int) -> Matrix:
         """Return the transform of detail pixels from the frame before to this one."""
