@@ -319,6 +319,21 @@ class SeedParameters:
         minimum=0.05,
         maximum=10.0,
     )
+    evidence: float = parameter(
+        2.0,
+        "Least gain by which the pictures must bear a window's motion out: how much less a "
+        "neighbour differs along the flow than at rest, in units of the picture's noise. 0: not "
+        "asked.",
+        minimum=0.0,
+        maximum=100.0,
+    )
+    clutter: float = parameter(
+        1.0,
+        "Factor by which what a place is known to move by without anything being there counts "
+        "as noise. 0: not at all.",
+        minimum=0.0,
+        maximum=100.0,
+    )
 
 
 @dataclass(frozen=True)

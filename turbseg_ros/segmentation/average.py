@@ -13,8 +13,8 @@ from turbseg_ros.segmentation.flow import mean_flow, slope_fit
 
 LONG_BASELINE = 3
 """Flow is also taken so many times the interval back, for what is slow."""
-# The largest interval of a short baseline, in intervals.
-_SHORT_BASELINE = 2
+SHORT_BASELINE = 2
+"""The largest interval of a short baseline, in intervals."""
 
 
 class Average(Protocol):
@@ -49,7 +49,7 @@ class SlopeAverage:
 
     def baselines(self, intervals: Sequence[int], interval: int) -> list[list[int]]:
         """Return the short intervals, then all; all at once where either is no baseline."""
-        short = [k for k in intervals if abs(k) <= _SHORT_BASELINE * interval]
+        short = [k for k in intervals if abs(k) <= SHORT_BASELINE * interval]
         if len(short) in (len(intervals), 0, 1):
             return [list(intervals)]
         return [short, list(intervals)]

@@ -101,7 +101,10 @@ class SegmentationResult:
     float32 at processing resolution: pixels a frame (of the input image) by which a point breaks
     the camera's own motion. `tilt` is the measured turbulence: rms image motion a axis in input
     pixels, NaN while unknown. `ego_motion_model` names the model chosen for the camera's motion.
-    `coasted` tells that its objects coasted under load: propagated, not looked for.
+    `clutter` is float32, a cell for each four by four pixels at processing resolution: by how many
+    pixels a frame (of the input image) a place is known to move without anything being there; None
+    while nothing is known. `coasted` tells that its objects coasted under load: propagated, not
+    looked for.
     """
 
     frame: Frame
@@ -111,6 +114,7 @@ class SegmentationResult:
     tilt: float
     ego_motion_model: str
     coasted: bool = False
+    clutter: Map | None = None
 
     @classmethod
     def empty(cls, frame: Frame, motion_shape: tuple[int, int] = (0, 0)) -> SegmentationResult:

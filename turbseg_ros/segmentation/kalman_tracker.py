@@ -34,6 +34,8 @@ _HONESTY = 0.35
 # Least IoU of a mask with the one before, moved along, on average over the frames of confirmation
 # and, for an object, over a longer span: leaves and waves change their shape all the time.
 _LIKE = 0.4
+# Share of its size that an object must have come to be surely no restless place.
+_TRAVELLED = 0.5
 # Frames for which the place of one that got nowhere is remembered.
 _RESTLESS_SPAN = 300
 
@@ -115,6 +117,19 @@ class KalmanTracker:
         """
         return [
             track.expected(ego_motion, shape).outline for track in self._tracks if track.confirmed
+        ]
+
+    def travelled_outlines(
+        self, ego_motion: Matrix, shape: tuple[int, int], frames: int
+    ) -> list[CroppedMask]:
+        """Return where each object that has come half its size should be so many frames on.
+
+        :param ego_motion: takes the last frame's pixels to that one's, which is of some shape.
+        """
+        return [
+            track.expected(ego_motion, shape, frames).outline
+            for track in self._tracks
+            if track.confirmed and track.travelled > _TRAVELLED * track.size
         ]
 
     def update(
@@ -266,11 +281,10 @@ class KalmanTracker:
             return
         if not track.keeps_shape(max(self._min_hits - 1, 1), _LIKE):
             return
-        travelled = float(np.linalg.norm(track.position - track.birthplace))
         wanted = max(self._travel + 2.0 * tilt, _HONESTY * sum(track.claims))
         if any(place.holds(track.birthplace) for place in self._restless):
             wanted = max(wanted, track.size)
-        if travelled < wanted:
+        if track.travelled < wanted:
             return
         track.confirmed = True
         track.id = self._next_id

@@ -54,6 +54,12 @@ class KMeansIds:
         """Expect nothing: each frame stands for itself."""
         return []
 
+    def travelled_outlines(
+        self, ego_motion: Matrix, shape: tuple[int, int], frames: int
+    ) -> list[CroppedMask]:
+        """Expect nothing: each frame stands for itself."""
+        return []
+
     def update(
         self, detections: Sequence[Detection], ego_motion: Matrix, tilt: float, image: ByteImage
     ) -> list[Observation]:

@@ -38,7 +38,9 @@ class MotionEstimate:
     `velocity` is HxWx2 and `motion_map` M its measure, HxW, both in pixels a frame; `noise` is
     HxW, the standard deviation of M's axes where nothing moves; `tilt` is the rms turbulent
     motion an axis in pixels, NaN where no pair of intervals allows to measure it; `visible` tells
-    which pixels had enough neighbours.
+    which pixels had enough neighbours. `clutter` is by how much each cell of the scene is known to
+    move without anything being there, hxw in pixels a frame, see `clutter.ClutterMemory`; None
+    where nothing is known.
     """
 
     velocity: Flow
@@ -47,6 +49,7 @@ class MotionEstimate:
     tilt: float
     visible: npt.NDArray[np.bool_]
     ego_motion_model: str
+    clutter: Map | None = None
 
 
 class MotionMeasure(Protocol):

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from turbseg_ros.arrays import Mask
 from turbseg_ros.parameters import FlowParameters
+from turbseg_ros.segmentation.cropped_mask import CroppedMask
 from turbseg_ros.segmentation.motion import MotionMeasure, next_interval
 from turbseg_ros.segmentation.motion_worker import MotionJob, MotionWorker
 from turbseg_ros.segmentation.moving import Moving, propagated
@@ -22,6 +24,8 @@ class MotionSchedule:
 
     :param causal: whether nothing may be waited for: a measurement is then asked for half a
         period late, and brought up to date by propagation.
+    :param objects_in: tells where objects that have come some way will be in a frame, at detail
+        resolution.
     """
 
     def __init__(
@@ -33,6 +37,7 @@ class MotionSchedule:
         flow: FlowParameters,
         causal: bool,
         observer: StageObserver,
+        objects_in: Callable[[int], Sequence[CroppedMask]] = lambda index: (),
     ) -> None:
         self._window = window
         self._resolution = resolution
@@ -45,6 +50,8 @@ class MotionSchedule:
         # Frames after which a measurement is asked for, if none are waited for anyway.
         self._lag = (flow.every + 1) // 2 if causal else 0
         self._due = 0
+        self._submitted = -1
+        self._objects_in = objects_in
         self._last: Moving | None = None
 
     def what_moves(self, index: int, sparse: bool) -> Moving | None:
@@ -109,4 +116,14 @@ class MotionSchedule:
     def _submit(self, index: int) -> None:
         wanted = self._measure.intervals(self._interval)
         neighbourhood = self._window.neighbourhood(index, wanted)
-        self._worker.submit(MotionJob(index, neighbourhood, self._interval))
+        before, self._submitted = self._submitted, index
+        self._worker.submit(
+            MotionJob(
+                index,
+                neighbourhood,
+                self._interval,
+                self._window.way(before, index),
+                index - before,
+                self._objects_in(index),
+            )
+        )

@@ -190,7 +190,7 @@ class _Stream:
     def prepare(self, frame: Frame) -> None:
         """Have the next frame prepared in the background."""
         window = self._pipeline.window
-        self._preparer.start(frame, window.count, window.newest)
+        self._preparer.start(frame, window.count, window.newest, self._pipeline.overlay)
 
     def take_in(self) -> Frame | None:
         """Let the prepared frame join the window; return it instead if it follows a cut."""

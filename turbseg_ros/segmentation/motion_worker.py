@@ -2,21 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass
 
+from turbseg_ros.arrays import Matrix
+from turbseg_ros.segmentation.cropped_mask import CroppedMask
 from turbseg_ros.segmentation.moving import Moving
 from turbseg_ros.segmentation.window import Neighbourhood
 
 
 @dataclass(frozen=True)
 class MotionJob:
-    """A frame in which motion is to be measured, its neighbours, and the interval in use."""
+    """A frame in which motion is to be measured, its neighbours, and the interval in use.
+
+    `since_last` takes the processing pixels of the frame measured before, `frames` earlier, to
+    this one's, None where there is none of the same scene; `objects` are expected in it, at detail
+    resolution.
+    """
 
     index: int
     neighbourhood: Neighbourhood
     interval: int
+    since_last: Matrix | None = None
+    frames: int = 1
+    objects: Sequence[CroppedMask] = ()
 
 
 Measure = Callable[[MotionJob], "Moving | None"]

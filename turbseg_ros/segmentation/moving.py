@@ -10,6 +10,7 @@ import numpy as np
 
 from turbseg_ros.arrays import Map, Mask, Matrix
 from turbseg_ros.segmentation.areas import SMEAR, MovingArea, moving_areas
+from turbseg_ros.segmentation.clutter import in_cells
 from turbseg_ros.segmentation.cropped_mask import Box, convex_hull, union_mask
 from turbseg_ros.segmentation.geometry import translation
 from turbseg_ros.segmentation.motion import MotionEstimate, agree, merged
@@ -25,13 +26,15 @@ class Moving:
     """What moves in a frame: the motion measured, the regions grown, where objects may be.
 
     Motion and regions are at processing resolution, areas at detail resolution; `measured` is
-    False where all that was propagated from an earlier frame.
+    False where all that was propagated from an earlier frame. `overlay` is which cells of the
+    picture stand still while the scene moves, hxw; see `static_overlay`. None before it is asked.
     """
 
     motion: MotionEstimate
     regions: Sequence[Region]
     areas: Sequence[MovingArea]
     measured: bool = True
+    overlay: Mask | None = None
 
     def where(self, objects: Mask) -> Moving:
         """Leave out the areas that hold none of the objects, HxW at detail resolution."""
@@ -91,9 +94,9 @@ def propagated(
         for values, before in ((velocity, motion.velocity), (motion_map, motion.motion_map)):
             there = _moved(to_later, before, outline.box)
             values[outline.box.slices][outline.mask] = there[outline.mask]
-    return Moving(
-        replace(motion, velocity=velocity, motion_map=motion_map), regions, areas, measured=False
-    )
+    clutter = None if motion.clutter is None else _moved(in_cells(ego_motion), motion.clutter)
+    motion = replace(motion, velocity=velocity, motion_map=motion_map, clutter=clutter)
+    return Moving(motion, regions, areas, measured=False, overlay=moving.overlay)
 
 
 def _own_motion(velocity: tuple[float, float], frames: int) -> Matrix:

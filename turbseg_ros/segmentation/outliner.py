@@ -12,6 +12,7 @@ import numpy as np
 from turbseg_ros.arrays import Mask, Matrix
 from turbseg_ros.segmentation.areas import MovingArea
 from turbseg_ros.segmentation.background import AlignedFrame, MaskedImage, with_objects_masked
+from turbseg_ros.segmentation.clutter import enlarged
 from turbseg_ros.segmentation.cropped_mask import EMPTY_MASK, CroppedMask, union_mask
 from turbseg_ros.segmentation.exposure import AS_IT_IS, Exposure, exposure_between
 from turbseg_ros.segmentation.foreground import ObjectCrop, foreground_masks, object_crops
@@ -28,6 +29,8 @@ GUARD = 2
 """Detail pixels by which objects are dilated before what is left counts as background."""
 # Smallest outline, in detail pixels.
 _MIN_OUTLINE = 12
+# Share of an outline that must be scene, not burnt into the picture.
+_MIN_SCENE = 0.5
 # A known object counts as resting when motion was found on less than this share of it.
 _RESTING = 0.6
 
@@ -140,6 +143,7 @@ class Outliner:
 
         with self._observer.stage("outlines"):
             outlines = self._method.outlines(moving, crops, self._resolution)
+            outlines = _in_scene(outlines, overlay_masks(moving, shape))
         seen_to_move = moving_mask if moving.measured else np.zeros_like(moving_mask)
         return [
             _detection(outline, seen_to_move, moving.motion, self._resolution)
@@ -165,6 +169,7 @@ class Outliner:
             if not window[other].objects_known:
                 if other not in outlook.images:
                     predicted = self._predicted(moving.areas, other - index, to_image)
+                    predicted += overlay_masks(moving, self._resolution.detail_shape)
                     outlook.images[other] = with_objects_masked(image, predicted)
                 image = outlook.images[other]
             frames.append(AlignedFrame(image, to_image, outlook.exposures[other].then(since)))
@@ -188,6 +193,31 @@ class Outliner:
             )
             for area in areas
         ]
+
+
+def overlay_masks(moving: Moving, shape: tuple[int, int]) -> list[CroppedMask]:
+    """Return what stands still in the picture while the scene moves, in a frame of some shape."""
+    if moving.overlay is None or not moving.overlay.any():
+        return []
+    return [CroppedMask.of(enlarged(moving.overlay, shape))]
+
+
+def _in_scene(
+    outlines: Sequence[CroppedMask], overlays: Sequence[CroppedMask]
+) -> list[CroppedMask]:
+    """Return outlines without what is burnt into the picture, those left that it hardly hides."""
+    if not overlays:
+        return list(outlines)
+    (overlay,) = overlays
+    left = [
+        CroppedMask.of(outline.mask & ~overlay.within(outline.box), outline.box.x0, outline.box.y0)
+        for outline in outlines
+    ]
+    return [
+        seen
+        for seen, outline in zip(left, outlines, strict=True)
+        if seen.area > _MIN_SCENE * outline.area
+    ]
 
 
 def _resting_areas(expected: Sequence[CroppedMask], moving: Mask) -> list[MovingArea]:

@@ -38,7 +38,7 @@ class PendingResult:
         if self.motion is None:
             empty = SegmentationResult.empty(self.frame, self.resolution.processing_shape)
             return replace(empty, labels=labels, objects=objects, coasted=self.coasted)
-        scale = width / self.resolution.processing[0]
+        scale, clutter = width / self.resolution.processing[0], self.motion.clutter
         return SegmentationResult(
             frame=self.frame,
             labels=labels,
@@ -47,6 +47,7 @@ class PendingResult:
             tilt=self.motion.tilt * scale,
             ego_motion_model=self.motion.ego_motion_model,
             coasted=self.coasted,
+            clutter=None if clutter is None else clutter * np.float32(scale),
         )
 
     def _draw_objects(self, labels: Labels) -> tuple[MovingObject, ...]:

@@ -3,7 +3,7 @@
     paper    stage                     here, and as the paper has it
     eq. 1    stabilised flow           average.SlopeAverage; flow.mean_flow
     eq. 2    geometric consistency     motion.AffineMotion; geometry.sampson_distance
-             seeds                     region_growing.seed_strength
+             seeds                     region_growing.seed_strength; evidence.PictureEvidence
     eq. 3    seeded region growing     region_growing.similar_velocity; similar_magnitude
     eq. 4    mask ids                  kalman_tracker.KalmanTracker; kmeans_ids.kmeans_ids
     eq. 5-9  refinement                outliner.RefinedDifference; learning.clip_refinement
@@ -13,15 +13,18 @@ What stands behind each name, and why it departs from the paper, is in docs/meth
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import functools
 from concurrent.futures import Executor
+from dataclasses import replace
 
 import numpy as np
 
-from turbseg_ros.arrays import Map, Mask, Matrix
+from turbseg_ros.arrays import Mask, Matrix
 from turbseg_ros.parameters import Parameters
-from turbseg_ros.segmentation.average import LONG_BASELINE
-from turbseg_ros.segmentation.cropped_mask import union_mask
+from turbseg_ros.segmentation.average import LONG_BASELINE, SHORT_BASELINE
+from turbseg_ros.segmentation.clutter import cells_of_objects, with_clutter
+from turbseg_ros.segmentation.cropped_mask import CroppedMask, union_mask
+from turbseg_ros.segmentation.evidence import PictureEvidence
 from turbseg_ros.segmentation.frame import Frame
 from turbseg_ros.segmentation.load import Load
 from turbseg_ros.segmentation.motion import MotionEstimate
@@ -29,16 +32,14 @@ from turbseg_ros.segmentation.motion_schedule import SPARSE, MotionSchedule
 from turbseg_ros.segmentation.motion_worker import MotionJob, MotionWorker
 from turbseg_ros.segmentation.moving import Moving, what_moves
 from turbseg_ros.segmentation.observer import StageObserver
-from turbseg_ros.segmentation.outliner import GUARD, Outliner
+from turbseg_ros.segmentation.outliner import GUARD, Outliner, overlay_masks
 from turbseg_ros.segmentation.pending_result import PendingResult
 from turbseg_ros.segmentation.region_growing import Region, grow_regions, seed_strength
-from turbseg_ros.segmentation.registration import visible
 from turbseg_ros.segmentation.resolution import Resolution
+from turbseg_ros.segmentation.scene_memory import SceneMemory
 from turbseg_ros.segmentation.strategies import Strategies
 from turbseg_ros.segmentation.window import FrameWindow
 
-# Flow within this many pixels of another frame's border follows the border, not the scene.
-_BORDER = 4.0
 # Smallest region, in pixels at processing resolution.
 _MIN_REGION = 12
 
@@ -59,6 +60,8 @@ class Pipeline:
     ) -> None:
         self.resolution = resolution
         self.window = _frame_window(parameters, strategies)
+        # Which cells of the picture stand still while the scene moves, hxw; None while unknown.
+        self.overlay: Mask | None = None
         self._parameters = parameters
         self._strategies = strategies
         self._observer = observer
@@ -71,7 +74,11 @@ class Pipeline:
             parameters.flow,
             parameters.is_causal,
             observer,
+            self._travelled_objects,
         )
+        self._scene = SceneMemory()
+        # The frame that was tracked last.
+        self._tracked = -1
         self._outliner = Outliner(self.window, resolution, strategies.outlines, observer)
 
     def segment_frame(self, index: int, frame: Frame, load: Load) -> PendingResult:
@@ -83,7 +90,9 @@ class Pipeline:
         moving = self._schedule.what_moves(index, load.measures_seldom)
         if moving is None:
             tracker.update([], ego_motion, 0.0, self.window[index].detail)
+            self._tracked = index
             return PendingResult(frame, resolution)
+        self.overlay = moving.overlay
         self._observer.motion(frame.stamp, moving)
 
         coasted = load.coasts and not moving.measured
@@ -100,46 +109,65 @@ class Pipeline:
                 image = self.window[index].detail
                 observations = tracker.update(detections, ego_motion, tilt, image)
 
+        self._tracked = index
+
         # What is an object is no background, and only where one is does motion go on.
         shape = resolution.detail_shape
         masks = [seen.detection.outline.dilated(GUARD, shape) for seen in observations]
-        self.window.mark_objects(index, masks)
+        self.window.mark_objects(index, [*masks, *overlay_masks(moving, shape)])
         self._schedule.keep_where(union_mask(masks, shape))
         return PendingResult(frame, resolution, moving.motion, observations, coasted)
 
     def measure_motion(self, job: MotionJob) -> Moving | None:
         """Measure what moves in a frame; None where there is too little to compare it with."""
         neighbourhood = job.neighbourhood
+        self._scene.propagate(job.since_last)
         if len(neighbourhood.neighbours) < 2:
             return None
         with self._observer.stage("optical flow"):
-            flows = self._strategies.flow.flows_to(neighbourhood.grey, neighbourhood.aligned())
-        # Average (eq. 1) and distance from the camera's own motion (eq. 2).
+            aligned = neighbourhood.aligned()
+            flows = self._strategies.flow.flows_to(neighbourhood.grey, aligned)
+        # Average (eq. 1) and distance from the camera's own motion (eq. 2), within the scene.
         with self._observer.stage("motion map"):
-            valid = self._valid(neighbourhood.transforms)
+            overlay = self._scene.overlay(neighbourhood, aligned)
+            valid = neighbourhood.valid(overlay)
             motions = self._strategies.measure.motions(flows, valid, job.interval)
-        # Seeds, and the regions that grow from them (eq. 3).
+        # Seeds that the pictures bear out, and the regions that grow from them (eq. 3).
         with self._observer.stage("region growing"):
-            return what_moves(motions, self._grow, self.resolution.detail)
+            near = {k: aligned[k] for k in aligned if abs(k) <= SHORT_BASELINE * job.interval}
+            evidence = PictureEvidence(neighbourhood.grey, near or aligned, flows)
+            shape = self.resolution.processing_shape
+            objects = cells_of_objects(job.objects, self.resolution.detail, shape)
+            textured = evidence.textured()
+            motions = self._scene.with_clutter(motions, textured, objects, job.frames)
+            grow = functools.partial(self._grow, evidence)
+            moving = what_moves(motions, grow, self.resolution.detail)
+        return replace(moving, overlay=overlay)
 
     def cancel(self) -> None:
         """Give up what is measured ahead."""
         self._worker.cancel()
 
-    def _grow(self, motion: MotionEstimate, taken: Mask) -> list[Region]:
+    def _travelled_objects(self, index: int) -> list[CroppedMask]:
+        """Return where objects that have come some way should be in a frame to come."""
+        way = self.window.way(self._tracked, index)
+        if way is None:
+            return []
+        return self._strategies.tracker.travelled_outlines(
+            self.resolution.to_detail(way), self.resolution.detail_shape, index - self._tracked
+        )
+
+    def _grow(
+        self, evidence: PictureEvidence, motion: MotionEstimate, taken: Mask
+    ) -> list[Region]:
         seed, growing = self._parameters.seed, self._parameters.growing
-        strength = seed_strength(motion, seed.size, seed.delta1, seed.delta2)
+        restless = replace(motion, noise=with_clutter(motion.noise, motion.clutter, seed.clutter))
+        strength = seed_strength(restless, seed.size, seed.delta1, seed.delta2)
+        strength = evidence.borne_out(strength, seed.size, seed.evidence)
         similarity = self._strategies.similarity
         return grow_regions(
             motion, strength, seed.size, growing.delta, similarity, _MIN_REGION, taken
         )
-
-    def _valid(self, transforms: Mapping[int, Matrix]) -> dict[int, Map]:
-        """Return by interval which pixels the other frame sees, HxW, 1 or 0."""
-        shape = self.resolution.processing_shape
-        return {
-            k: visible(shape, each, _BORDER).astype(np.float32) for k, each in transforms.items()
-        }
 
     def _ego_motion(self, index: int) -> Matrix:
         """Return the transform of detail pixels from the frame before to this one."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from turbseg_ros.arrays import ByteImage, Matrix
+from turbseg_ros.arrays import ByteImage, Mask, Matrix
 from turbseg_ros.segmentation.background import MaskedImage, unmasked
 from turbseg_ros.segmentation.frame import Frame
 from turbseg_ros.segmentation.observer import StageObserver
@@ -52,15 +52,19 @@ def prepare(
     index: int,
     previous: PreparedFrame | None,
     observer: StageObserver,
+    overlay: Mask | None = None,
 ) -> PreparedFrame:
-    """Scale an 8-bit picture, HxW or HxWx3, and register it to the frame before."""
+    """Scale an 8-bit picture, HxW or HxWx3, and register it to the frame before.
+
+    :param overlay: cells that are no scene and have no say in it, hxw.
+    """
     with observer.stage("scaling"):
         detail = _shrunk(picture, resolution.detail)
         grey = cv2.cvtColor(detail, cv2.COLOR_BGR2GRAY) if detail.ndim == 3 else detail
         grey = _resized(grey, resolution.processing)
         scene = unmasked(detail)
     with observer.stage("registration"):
-        motion = None if previous is None else register_affine(previous.grey, grey)
+        motion = None if previous is None else register_affine(previous.grey, grey, overlay)
     from_previous = np.eye(3) if motion is None else motion
     return PreparedFrame(
         index=index,
@@ -83,15 +87,22 @@ class FramePreparer:
         self._tone = ToneMap()
         self._under_way: tuple[Frame, Future[PreparedFrame]] | None = None
 
-    def start(self, frame: Frame, index: int, previous: PreparedFrame | None) -> None:
+    def start(
+        self,
+        frame: Frame,
+        index: int,
+        previous: PreparedFrame | None,
+        overlay: Mask | None = None,
+    ) -> None:
         """Begin with a frame, whose image is read until `finish`.
 
         :param index: its number in the stream.
         :param previous: the frame that it is registered to.
+        :param overlay: cells that have no say in that, hxw.
         """
         picture = self._tone(frame.image)
         preparation = self._executor.submit(
-            prepare, picture, self._resolution, index, previous, self._observer
+            prepare, picture, self._resolution, index, previous, self._observer, overlay
         )
         self._under_way = (frame, preparation)
 

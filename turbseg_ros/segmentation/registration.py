@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from turbseg_ros.arrays import ByteImage, Matrix
+from turbseg_ros.arrays import ByteImage, Mask, Matrix
 from turbseg_ros.segmentation.exposure import exposure_between
 from turbseg_ros.segmentation.geometry import pixel_grid, translation
 
@@ -59,13 +59,17 @@ def _hanning_window(size: tuple[int, int]) -> npt.NDArray[np.float32]:
     return cv2.createHanningWindow(size, cv2.CV_32F)
 
 
-def register_affine(source: ByteImage, target: ByteImage) -> Matrix | None:
+def register_affine(
+    source: ByteImage, target: ByteImage, overlay: Mask | None = None
+) -> Matrix | None:
     """Return the affine transform that takes `source` to `target`.
 
     Corners are followed by pyramidal Lucas-Kanade from where the translation puts them, and an
     affine transform is fitted by RANSAC, so that moving objects do not take part. Where the
     picture carries too few corners, or they agree on nothing a camera could do, the translation
     stands. None when the pictures have nothing in common: a cut, a covered lens, a torn frame.
+
+    :param overlay: hxw, coarser: what is no scene, and whose corners aren't followed.
     """
     # Half of the resolution tells as well what to follow, and about where it has gone.
     size = (source.shape[1] // 2, source.shape[0] // 2)
@@ -74,7 +78,7 @@ def register_affine(source: ByteImage, target: ByteImage) -> Matrix | None:
     shift = 2.0 * coarse[:2, 2]
     # Lucas-Kanade takes a change of exposure for motion.
     source = exposure_between(source, target, translation(*-shift)).applied_to(source, channels=1)
-    affine = _affine_of_corners(source, target, _corners(halves[0]), shift)
+    affine = _affine_of_corners(source, target, _corners(halves[0], overlay), shift)
     if affine is None or np.abs(affine[:, :2] - np.eye(2)).max() > _MAX_CHANGE_OF_SHAPE:
         found, _ = phase_correlation(source, target)
     else:
@@ -85,9 +89,13 @@ def register_affine(source: ByteImage, target: ByteImage) -> Matrix | None:
     return found
 
 
-def _corners(half: ByteImage) -> Points:
+def _corners(half: ByteImage, overlay: Mask | None) -> Points:
     """Find corners in a picture of half the size; return them in pixels of the whole, Nx1x2."""
-    corners = cv2.goodFeaturesToTrack(half, _CORNERS, _MIN_QUALITY, _CORNER_DISTANCE)
+    scene = None
+    if overlay is not None and overlay.any():
+        free = cv2.dilate(overlay.view(np.uint8), np.ones((3, 3), np.uint8)) == 0
+        scene = cv2.resize(free.view(np.uint8), half.shape[::-1], interpolation=cv2.INTER_NEAREST)
+    corners = cv2.goodFeaturesToTrack(half, _CORNERS, _MIN_QUALITY, _CORNER_DISTANCE, mask=scene)
     if corners is None:
         return np.zeros((0, 1, 2), np.float32)
     # The middles of both pictures' first pixels lie apart.

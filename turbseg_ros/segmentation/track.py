@@ -203,13 +203,19 @@ class Track:
         here = detection.mask[common.moved(-found.x0, -found.y0).slices]
         return int(np.count_nonzero(there & here))
 
-    def expected(self, ego_motion: Matrix, shape: tuple[int, int]) -> Detection:
-        """Return it as it should be in the coming frame of some shape.
+    @property
+    def travelled(self) -> float:
+        """Distance from where it was seen first, in pixels."""
+        return float(np.linalg.norm(self.position - self.birthplace))
+
+    def expected(self, ego_motion: Matrix, shape: tuple[int, int], frames: int = 1) -> Detection:
+        """Return it as it should be in a coming frame of some shape.
 
         :param ego_motion: takes the last frame's pixels to the coming one's.
+        :param frames: how many frames later that is.
         """
         # The position has been carried along since the mask was last seen.
-        x, y = self.position - self.seen_at + np.asarray(self.velocity)
+        x, y = self.position - self.seen_at + frames * np.asarray(self.velocity)
         way = ego_motion @ translation(x, y)
         outline = self.detection.outline.resampled(way, shape, cv2.INTER_NEAREST)
         return Detection(outline.box, outline.mask, self.velocity, moving=False)
@@ -259,6 +265,14 @@ class Tracker(Protocol):
         """Return where each object should be in the coming frame of some shape.
 
         :param ego_motion: takes the last frame's pixels to the coming one's.
+        """
+
+    def travelled_outlines(
+        self, ego_motion: Matrix, shape: tuple[int, int], frames: int
+    ) -> list[CroppedMask]:
+        """Return where each object that has come half its size should be so many frames on.
+
+        :param ego_motion: takes the last frame's pixels to that one's, which is of some shape.
         """
 
     def update(

@@ -6,15 +6,19 @@ import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 
-from turbseg_ros.arrays import ByteImage, Matrix
+from turbseg_ros.arrays import ByteImage, Map, Mask, Matrix
 from turbseg_ros.segmentation.background import with_objects_masked
+from turbseg_ros.segmentation.clutter import enlarged
 from turbseg_ros.segmentation.cropped_mask import CroppedMask
 from turbseg_ros.segmentation.exposure import exposure_between
 from turbseg_ros.segmentation.preparation import PreparedFrame
-from turbseg_ros.segmentation.registration import align, register_affine
+from turbseg_ros.segmentation.registration import align, register_affine, visible
 
+# Flow within this many pixels of another frame's border follows the border, not the scene.
+_BORDER = 4.0
 # With fewer views of it, the median of the background is a matter of chance.
 _ENOUGH_KEY_FRAMES = 6
 
@@ -34,6 +38,21 @@ class Neighbourhood:
     def aligned(self) -> dict[int, ByteImage]:
         """Return the neighbours as the frame itself would show them, exposed as it is."""
         return {k: self._aligned(grey, self.transforms[k]) for k, grey in self.neighbours.items()}
+
+    def valid(self, overlay: Mask) -> dict[int, Map]:
+        """Return by interval which pixels of the scene the other frame sees, HxW, 1 or 0.
+
+        :param overlay: hxw cells that are no scene; flow smears past them.
+        """
+        shape = (self.grey.shape[0], self.grey.shape[1])
+        valid = {
+            k: visible(shape, each, _BORDER).astype(np.float32)
+            for k, each in self.transforms.items()
+        }
+        if not overlay.any():
+            return valid
+        scene = ~enlarged(cv2.dilate(overlay.view(np.uint8), np.ones((5, 5), np.uint8)) > 0, shape)
+        return {k: seen * scene for k, seen in valid.items()}
 
     def _aligned(self, neighbour: ByteImage, transform: Matrix) -> ByteImage:
         exposure = exposure_between(neighbour, self.grey, transform)
@@ -113,6 +132,15 @@ class FrameWindow:
     def goes_on(self, source: int, target: int) -> bool:
         """Whether the scene of a frame goes on until a later one."""
         return all(self._frames[k].continues for k in self._frames if source < k <= target)
+
+    def way(self, source: int, target: int) -> Matrix | None:
+        """Return what takes a frame's processing pixels to a later one's; None across a cut.
+
+        None as well where the frame isn't at hand.
+        """
+        if source not in self._frames or not self.goes_on(source, target):
+            return None
+        return self.transform(source, target)
 
     def follows_cut(self, prepared: PreparedFrame) -> bool:
         """Whether a frame, not yet taken, goes on from a newest one that began a new scene.
