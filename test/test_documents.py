@@ -5,11 +5,13 @@ from __future__ import annotations
 import ast
 import functools
 import re
+import textwrap
 from pathlib import Path
 
 import pytest
 
-from turbseg_ros.parameters import declarations, markdown_table
+from turbseg_ros.factory import strategies
+from turbseg_ros.parameters import Parameters, declarations, markdown_table
 
 ROOT = Path(__file__).resolve().parent.parent
 README = ROOT / "README.md"
@@ -154,6 +156,35 @@ def test_the_papers_equations_all_have_their_code() -> None:
         for n in re.findall(r"\b\d\b", paper.split(":")[0])
     }
     assert found == set(range(1, 10))
+
+
+def test_the_threads_that_are_drawn_are_those_that_the_code_starts() -> None:
+    drawn = set(re.findall(r"┌─ (\w+) ", (ROOT / "CONTRIBUTING.md").read_text()))
+    sources = "".join(
+        (ROOT / "turbseg_ros" / room / name).read_text()
+        for room, name in (
+            ("nodes", "subscription.py"),
+            ("nodes", "worker.py"),
+            ("segmentation", "motion_segmenter.py"),
+            ("segmentation", "flow.py"),
+        )
+    )
+    started = set(re.findall(r'(?:\bname|thread_name_prefix)="(\w+)"', sources))
+    assert drawn == started | {"main", "signals"}
+
+
+def test_the_example_of_an_own_strategy_can_be_had(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (example,) = re.findall(
+        r"^ *```python\n(.*?)^ *```$", (ROOT / "CONTRIBUTING.md").read_text(), re.M | re.S
+    )
+    (tmp_path / "documented_scorers.py").write_text(textwrap.dedent(example))
+    monkeypatch.syspath_prepend(str(tmp_path))
+    name = "documented_scorers:Saliency"
+    chosen = strategies(Parameters().replace({"motion.measure": name, "refine.mode": "none"}))
+    assert type(chosen.measure).__name__ == "Saliency"
+    chosen.flow.close()
 
 
 # A path that is looked for where a command runs.
