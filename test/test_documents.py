@@ -120,17 +120,14 @@ def module_names(module: Path) -> set[str]:
     names = set()
     for node in ast.parse(module.read_text()).body:
         if isinstance(node, ast.ClassDef):
-            names |= {f"{node.name}.{part.name}" for part in ast.walk(node) if is_function(part)}
+            methods = [part for part in node.body if isinstance(part, ast.FunctionDef)]
+            names |= {f"{node.name}.{method.name}" for method in methods}
         if isinstance(node, ast.ClassDef | ast.FunctionDef):
             names.add(node.name)
         elif isinstance(node, ast.Assign | ast.AnnAssign):
             targets = node.targets if isinstance(node, ast.Assign) else [node.target]
             names |= {target.id for target in targets if isinstance(target, ast.Name)}
     return names
-
-
-def is_function(node: ast.AST) -> bool:
-    return isinstance(node, ast.FunctionDef)
 
 
 CODE = re.compile(rf"`((?:{'|'.join(ROOMS)})\.[a-z_]+)(?:\.([A-Za-z_.]+))?`")
