@@ -51,7 +51,7 @@ test-learning: .venv/learning ## the tests of networks, with torch (a download o
 bench: venv ## time a frame; figures in out/benchmark.json
 	$(BIN)/python -m turbseg_ros.cli benchmark --json out/benchmark.json
 
-# What the README shows under "How well": tables on the terminal, pictures in docs/images.
+# What README and docs/accuracy.md show: tables on the terminal, pictures in docs/images.
 figures: venv ## the tables and pictures of the documents
 	$(BIN)/python -m turbseg_ros.cli evaluate bags/* --baselines mog2,knn,paper --report out/report
 	$(BIN)/python -m turbseg_ros.cli evaluate bags/normal bags/thermal --baselines mog2,knn,paper \

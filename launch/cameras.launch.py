@@ -11,7 +11,7 @@ from launch.substitutions import LaunchConfiguration, PathJoinSubstitution, This
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Give the arguments and, once they are known, the nodes."""
+    """Return the arguments and, once they are known, the nodes."""
     return LaunchDescription(
         [
             DeclareLaunchArgument("cameras", description="Namespaces of the cameras, by commas."),

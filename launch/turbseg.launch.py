@@ -8,7 +8,7 @@ from launch_ros.substitutions import FindPackageShare
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Give the node, with its arguments declared."""
+    """Return the node, with its arguments declared."""
     presets = PathJoinSubstitution([FindPackageShare("turbseg_ros"), "config"])
     return LaunchDescription(
         [

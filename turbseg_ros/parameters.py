@@ -1,6 +1,6 @@
 """Every parameter of the package, declared once.
 
-ROS descriptors, the check of YAML files, command lines and the README's table all follow from the
+ROS descriptors, the check of YAML files, command lines and the documents' table follow from the
 dataclasses below. A parameter's public name is its path, dots between: ``flow.interval``.
 
 Ranges hold what works. Where an end is no plain fact (a count, a fraction), it was tried on a
@@ -659,7 +659,7 @@ def belongs_to_middleware(name: str) -> bool:
 
 
 def markdown_table() -> str:
-    """Return the README's table of parameters."""
+    """Return the table of parameters in docs/parameters.md."""
     rows = ["| parameter | default | range | what it is |", "| --- | --- | --- | --- |"]
     for declared in declarations():
         if declared.choices:

@@ -1,4 +1,4 @@
-"""The picture of the method's stages in the README: `python -m turbseg_ros.cli stages`."""
+"""The picture of the stages in README and docs/method.md: `python -m turbseg_ros.cli stages`."""
 
 from __future__ import annotations
 

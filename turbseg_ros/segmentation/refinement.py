@@ -1,4 +1,4 @@
-"""Outlines by a network's judgement of each pixel, in place of the rules of `silhouette`.
+"""Outlines by a network's judgement of each pixel, in place of the rules of `foreground`.
 
 The network itself is handed in: this room knows neither files nor how it is run.
 """
