@@ -82,6 +82,8 @@ setup(
         "evaluation": ["jinja2>=3.1,<4"],
         # Evaluation on a Dask scheduler.
         "cluster": ["distributed>=2024.1"],
+        # SQLite bags of rosbag2, and those of ROS 1.
+        "rosbags": ["rosbags>=0.11,<1"],
         "test": [
             "pytest>=7.4,<10",
             "pytest-timeout>=2,<3",

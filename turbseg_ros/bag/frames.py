@@ -8,7 +8,8 @@ from collections.abc import Generator, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar, cast
 
-from turbseg_ros.bag.reader import BagReader, Record
+from turbseg_ros.bag.reader import BagReader
+from turbseg_ros.bag.records import Record
 from turbseg_ros.bag.schema import message_class
 from turbseg_ros.messages.images import ImageConversionError, frame_from_serialised
 from turbseg_ros.segmentation.frame import Frame

@@ -106,7 +106,7 @@ def _parsed(override: str) -> tuple[str, object]:
     try:
         return name, parsed(value)
     except ParameterError as error:
-        raise ParameterError(f"-p {override}: {error}") from error
+        raise ParameterError(f"-p {override}: the value is not YAML") from error
 
 
 def _described(declaration: Declaration) -> str:
