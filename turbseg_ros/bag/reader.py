@@ -33,7 +33,7 @@ from turbseg_ros.bag.topics import is_result
 _LOGGER = logging.getLogger(__name__)
 
 # Pictures that a camera publishes once more, for other transports.
-_TRANSPORTS = ("compressed", "compressedDepth", "theora", "ffmpeg", "zstd")
+_TRANSPORTS = ("compressed", "compressedDepth", "theora", "ffmpeg", "foxglove", "zstd")
 
 
 class BagReader:

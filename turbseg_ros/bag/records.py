@@ -13,8 +13,13 @@ from rclpy.serialization import deserialize_message
 from turbseg_ros.bag.errors import BagError
 from turbseg_ros.bag.schema import message_class
 from turbseg_ros.bag.topics import TRUTH_NAMESPACE
+from turbseg_ros.messages.video import VIDEO_TRANSPORTS
 
-IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
+IMAGE_TYPES = (
+    "sensor_msgs/msg/Image",
+    "sensor_msgs/msg/CompressedImage",
+    *VIDEO_TRANSPORTS,
+)
 
 
 @dataclass(frozen=True)
@@ -93,7 +98,7 @@ class Topic:
 
     @property
     def has_images(self) -> bool:
-        """Whether images were recorded, compressed or not."""
+        """Whether images were recorded, as they are, compressed, or as video."""
         return self.type_name in IMAGE_TYPES and self.message_count > 0
 
     @property
