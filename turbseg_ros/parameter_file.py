@@ -59,7 +59,7 @@ def load_parameters(path: Path, node: str | None = None) -> Parameters:
         raise ParameterError(f"{path}: not a YAML file ({reason})") from error
 
 
-def parsed(text: str) -> object:
+def parsed(text: str) -> Any:
     """Return what a YAML text says by rcl's rules: mappings, lists, and numbers, truth and texts.
 
     Of keys that come twice the later one's value holds; mappings under them are one.

@@ -10,6 +10,7 @@ import sqlite3
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import lz4.frame
 import numpy as np
@@ -58,7 +59,7 @@ def write_mcap(
     beside: AddChannels | None = None,
     name: str = IMAGE,
     encoding: str = "ros2msg",
-    **options: object,
+    **options: Any,
 ) -> Path:
     """Write the pictures of some numbers, recorded at START + number, as another recorder does."""
     with file.open("wb") as stream:
@@ -490,7 +491,7 @@ def test_what_is_not_repeated_in_the_summary_is_found_and_is_no_damage(
 # --- SQLite and ROS 1 ---------------------------------------------------------------------------
 
 
-def write_sqlite(folder: Path, **options: object) -> Path:
+def write_sqlite(folder: Path, **options: Any) -> Path:
     store = get_typestore(Stores.ROS2_JAZZY)
     writer = RosbagsWriter(folder, version=9, storage_plugin=StoragePlugin.SQLITE3)
     if options:

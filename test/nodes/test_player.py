@@ -20,7 +20,7 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
 from support.node_harness import BEST_EFFORT, TIMEOUT, Probe
-from turbseg_ros.bag.reader import Record, Topic
+from turbseg_ros.bag.records import Record, Topic
 from turbseg_ros.bag.writer import BagWriter
 from turbseg_ros.cli.play import main
 from turbseg_ros.messages.images import image_from_message, message_from_image, stamp_to_ns
