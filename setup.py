@@ -82,12 +82,17 @@ setup(
         "evaluation": ["jinja2>=3.1,<4"],
         # Evaluation on a Dask scheduler.
         "cluster": ["distributed>=2024.1"],
+        # SQLite bags of rosbag2, and those of ROS 1.
+        "rosbags": ["rosbags>=0.11,<1"],
+        # Video packets in bags, and video files of more than 8 bits.
+        "video": ["av>=12,<19"],
         "test": [
             "pytest>=7.4,<10",
             "pytest-timeout>=2,<3",
             "pytest-xdist>=3,<4",
             "hypothesis>=6,<7",
             "rosbags>=0.11,<1",
+            "av>=12,<19",
         ],
         "lint": ["ruff", "mypy", "types-PyYAML", "types-tqdm", "scipy-stubs"],
         "fuzz": ["atheris>=2.3,<4"],

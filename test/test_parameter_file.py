@@ -6,14 +6,14 @@ from pathlib import Path
 
 import pytest
 import yaml
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from rclpy.context import Context
 from rclpy.node import Node
 
 from support.parameter_values import MAPPINGS
-from turbseg_ros.parameter_file import load_parameters
-from turbseg_ros.parameters import ParameterError, Parameters
+from turbseg_ros.parameter_file import load_parameters, parsed
+from turbseg_ros.parameters import ParameterError, Parameters, belongs_to_middleware
 
 CONFIG = Path(__file__).parent.parent / "config"
 PRESETS = sorted(CONFIG.glob("*.yaml"))
@@ -48,8 +48,8 @@ def test_a_section_that_speaks_to_the_node_is_read(tmp_path: Path, name: str) ->
 
 
 def test_sections_may_be_nested(tmp_path: Path) -> None:
-    inner = {"turbseg": {"ros__parameters": {"flow.interval": 6}}}
-    file = write(tmp_path, yaml.safe_dump({"north": inner, "/**": inner}))
+    inner = "  turbseg: {ros__parameters: {flow.interval: 6}}\n"
+    file = write(tmp_path, f"north:\n{inner}/**:\n{inner}")
     assert load_parameters(file).flow.interval == 6
     assert load_parameters(file, "/south/turbseg").flow.interval == 6
 
@@ -113,6 +113,91 @@ def test_sections_speak_to_the_nodes_that_ros_gives_them_to(
     except ParameterError:
         read = None
     assert read == given_by_ros
+
+
+def values_of_ros(file: Path, context: Context) -> dict[str, object]:
+    """Return what ROS itself makes of a parameter file, for a node /turbseg."""
+    node = Node(
+        "turbseg",
+        context=context,
+        cli_args=["--ros-args", "--params-file", str(file)],
+        automatically_declare_parameters_from_overrides=True,
+    )
+    values = {name: given.value for name, given in node.get_parameters_by_prefix("").items()}
+    node.destroy_node()
+    return {name: value for name, value in values.items() if not belongs_to_middleware(name)}
+
+
+# What YAML libraries read otherwise than ROS does.
+SCALARS = [
+    *("25e-1", "1e0", "1E5", "2e+2", "+.5", "5.", "-0.0", "0x1F", "010", "08", "-0", "0x1.8p3"),
+    *("1_000", "1:30", "2001-01-01", "0b11", "0o17", "null", "~", "1e400", "1e-320", "0e9"),
+    *("y", "N", "on", "Off", "YES", "tRue", ".nan", "-.inf", ".iNf", "inf", "Infinity", "NaN"),
+    *("9223372036854775807", "9223372036854775808", "-9223372036854775809", "1.0.0", "0x", "1e"),
+    *("'3'", '"on"', "!!str 3", "!!str 25e-1", "!!int 3.5", "!!float 3", "!!bool yes", "!own 3"),
+]
+WRITTEN = st.sampled_from(SCALARS) | st.from_regex(
+    r"[+-]?(0[xX])?[0-9]{0,4}\.?[0-9]{0,3}([eE][+-]?[0-9]{1,2})?", fullmatch=True
+).filter(lambda text: text not in ("", "-"))
+
+
+@settings(max_examples=100, deadline=None)
+@given(written=st.lists(WRITTEN, min_size=1, max_size=8))
+@example(written=SCALARS)
+def test_values_are_what_ros_makes_of_them(
+    tmp_path_factory: pytest.TempPathFactory, context: Context, written: list[str]
+) -> None:
+    lines = "".join(f"    p{number}: {text}\n" for number, text in enumerate(written))
+    file = write(tmp_path_factory.getbasetemp(), f"/**:\n  ros__parameters:\n{lines}")
+    mine = parsed(file.read_text())["/**"]["ros__parameters"]
+    # As texts: 1, 1.0 and True are equal, NaN is not.
+    assert {name: repr(value) for name, value in mine.items()} == {
+        name: repr(value) for name, value in values_of_ros(file, context).items()
+    }
+
+
+def test_keys_that_come_twice_mean_what_they_mean_to_ros(tmp_path: Path, context: Context) -> None:
+    text = (
+        section({"seed.size": 5, "flow": {"interval": 2}})
+        + section({"seed.size": 7}, "/turbseg")
+        + section({"seed.size": 9, "flow": {"every": 2}})
+    )
+    file = write(tmp_path, text)
+    assert load_parameters(file) == Parameters.from_mapping(values_of_ros(file, context))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "north: &n {ros__parameters: {seed.size: 5}}\n/**: *n\n",
+        "/**: {ros__parameters: {seed.size: }}\n",
+    ],
+    ids=["alias", "no value"],
+)
+def test_what_ros_refuses_is_refused(tmp_path: Path, context: Context, text: str) -> None:
+    file = write(tmp_path, text)
+    with pytest.raises(RuntimeError):
+        values_of_ros(file, context)
+    with pytest.raises(ParameterError, match=r"line \d: "):
+        load_parameters(file)
+
+
+def test_what_ros2_param_dump_writes_is_read(tmp_path: Path, context: Context) -> None:
+    """It writes what the node has, in groups, as PyYAML writes it."""
+    parameters = Parameters().replace(
+        {"outline.threshold": 2.5, "seed.delta1": 1e-05, "flow.interval": 6}
+    )
+    dumped: dict = {"use_sim_time": False, "start_type_description_service": True}
+    dumped["qos_overrides"] = {"/parameter_events": {"publisher": {"depth": 1000}}}
+    for name, value in parameters.as_mapping().items():
+        *groups, last = name.split(".")
+        group = dumped
+        for part in groups:
+            group = group.setdefault(part, {})
+        group[last] = value
+    file = write(tmp_path, section(dumped, "/turbseg"))
+    assert load_parameters(file) == parameters
+    assert Parameters.from_mapping(values_of_ros(file, context)) == parameters
 
 
 def test_other_nodes_sections_and_the_middlewares_names_are_passed_over(tmp_path: Path) -> None:

@@ -1,8 +1,15 @@
-"""ROS 2 parameter files, read without ROS, for tools that run no node."""
+"""ROS 2 parameter files, read without ROS, for tools that run no node.
+
+What a file says is read by the rules of rcl's own parser (rcl_yaml_param_parser), which are not
+those of YAML libraries: `25e-1` is a number, `on` a truth value, `1_000`, `null` and a date are
+texts, and quotes make anything a text. So node and tools take the same file alike.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import re
+import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -13,6 +20,20 @@ from turbseg_ros.parameters import ParameterError, Parameters, belongs_to_middle
 
 _NODE = "turbseg"
 _VALUES = "ros__parameters"
+
+_TRUE = ("Y", "y", "yes", "Yes", "YES", "true", "True", "TRUE", "on", "On", "ON")
+_FALSE = ("N", "n", "no", "No", "NO", "false", "False", "FALSE", "off", "Off", "OFF")
+# What C's strtol takes with base 0: hexadecimal, octal with a zero ahead, decimal.
+_INTEGER = re.compile(r"[+-]?(?:0[xX](?P<hex>[0-9a-fA-F]+)|0(?P<octal>[0-7]*)|[1-9][0-9]*)")
+_MAX_INTEGER = 2**63 - 1
+# What C's strtod takes, and YAML's own spelling of what is not finite.
+_DECIMAL = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+_HEXADECIMAL = re.compile(
+    r"[+-]?0[xX](?:[0-9a-fA-F]+\.?[0-9a-fA-F]*|\.[0-9a-fA-F]+)(?:[pP][+-]?[0-9]+)?"
+)
+_NOT_FINITE = re.compile(r"[+-]?(?i:inf(?:inity)?|nan)|[+-]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN)")
+_QUOTES = ("'", '"')
+_TEXT_TAG = "tag:yaml.org,2002:str"
 
 
 def load_parameters(path: Path, node: str | None = None) -> Parameters:
@@ -28,18 +49,100 @@ def load_parameters(path: Path, node: str | None = None) -> Parameters:
         an unknown name or a refused value; the text names the file.
     """
     try:
-        content = yaml.safe_load(path.read_text())
+        return Parameters.from_mapping(_values_for(node, parsed(path.read_text())))
     except OSError as error:
         raise ParameterError(f"{path}: {error.strerror or error}") from error
-    except (yaml.YAMLError, ValueError, IndexError, RecursionError) as error:
-        reason = " ".join(str(error).split())
-        raise ParameterError(f"{path}: not a YAML file ({reason})") from error
-    try:
-        return Parameters.from_mapping(_values_for(node, content))
-    except RecursionError:
-        raise ParameterError(f"{path}: a group holds itself") from None
     except ParameterError as error:
         raise ParameterError(f"{path}: {error}") from error
+    except ValueError as error:  # bytes that are no text
+        reason = " ".join(str(error).split())
+        raise ParameterError(f"{path}: not a YAML file ({reason})") from error
+
+
+def parsed(text: str) -> Any:
+    """Return what a YAML text says by rcl's rules: mappings, lists, and numbers, truth and texts.
+
+    Of keys that come twice the later one's value holds; mappings under them are one.
+
+    :raises ParameterError: when it is no YAML, or holds what rcl refuses: aliases, keys without
+        a value.
+    """
+    try:
+        node = _Loader(text).get_single_node()
+        return None if node is None else _value(node)
+    except (yaml.YAMLError, ValueError, IndexError, RecursionError) as error:
+        if isinstance(error, ParameterError):
+            raise
+        reason = " ".join(str(error).split())
+        raise ParameterError(f"not a YAML file ({reason})") from error
+
+
+class _Loader(yaml.SafeLoader):
+    """Composes nodes, and refuses aliases, as rcl does."""
+
+    def resolve(self, kind: type[yaml.Node], value: Any, implicit: Any) -> str:
+        """Leave what has no tag without one: rcl guesses by rules of its own."""
+        return ""
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        if self.check_event(yaml.AliasEvent):
+            line = self.get_event().start_mark.line + 1  # type: ignore[no-untyped-call]
+            raise ParameterError(f"line {line}: ROS takes no aliases (*name)")
+        return super().compose_node(parent, index)
+
+
+def _value(node: yaml.Node) -> object:
+    if isinstance(node, yaml.MappingNode):
+        merged: dict[str, object] = {}
+        for key, value in node.value:
+            _merge(merged, str(key.value), _value(value))
+        return merged
+    if isinstance(node, yaml.SequenceNode):
+        return [_value(item) for item in node.value]
+    assert isinstance(node, yaml.ScalarNode)
+    text = str(node.value)
+    if node.style in _QUOTES or node.tag == _TEXT_TAG:
+        return text
+    if not text:
+        raise ParameterError(f"line {node.start_mark.line + 1}: no value")
+    return scalar(text)
+
+
+def _merge(into: dict[str, object], key: str, value: object) -> None:
+    known = into.get(key)
+    if isinstance(known, dict) and isinstance(value, dict):
+        for name, inner in value.items():
+            _merge(known, name, inner)
+    else:
+        into[key] = value
+
+
+def scalar(text: str) -> bool | int | float | str:
+    """Return what rcl makes of a value without quotes."""
+    if text in _TRUE or text in _FALSE:
+        return text in _TRUE
+    whole = _INTEGER.fullmatch(text)
+    if whole is not None:
+        base = 16 if whole["hex"] else 8 if whole["octal"] else 10
+        number = int(text, base)
+        if -_MAX_INTEGER - 1 <= number <= _MAX_INTEGER:
+            return number
+    if _DECIMAL.fullmatch(text) and _is_in_range(text):
+        return float(text)
+    if _HEXADECIMAL.fullmatch(text):
+        with contextlib.suppress(OverflowError):
+            return float.fromhex(text)
+    if _NOT_FINITE.fullmatch(text):
+        return float(text.replace(".", ""))
+    return text
+
+
+def _is_in_range(decimal: str) -> bool:
+    """Whether strtod takes a number without an error: neither too large nor too small for it."""
+    number = float(decimal)
+    if number == 0.0:
+        return not re.search("[1-9]", re.split("[eE]", decimal)[0])
+    return sys.float_info.min <= abs(number) <= sys.float_info.max
 
 
 def _values_for(node: str | None, content: object) -> dict[str, object]:

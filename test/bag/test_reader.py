@@ -221,7 +221,7 @@ def test_what_is_no_bag_is_named(tmp_path):
 
 def test_several_files_without_metadata_are_not_guessed_at(tmp_path):
     bag = write_strings(tmp_path / "bag", [("/a", 1)])
-    for name in ("bag_2.mcap", "other_1.mcap", "other.mcap"):
+    for name in ("other_1.mcap", "other.mcap"):
         shutil.copy(bag / "bag_0.mcap", bag / name)
         (bag / "metadata.yaml").unlink(missing_ok=True)
         assert "no metadata.yaml and 2 .mcap files" in refusal(bag)
@@ -243,24 +243,6 @@ def test_damaged_metadata_is_named(tmp_path):
     for names in ("[5]", "[[a]]", "[]", "{}"):
         (bag / "metadata.yaml").write_text(stored + names + "}")
         assert "names no .mcap file" in refusal(bag)
-
-
-@pytest.mark.parametrize("with_metadata", [True, False])
-def test_sqlite_says_how_to_convert(tmp_path, with_metadata):
-    with RosbagsWriter(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.SQLITE3):
-        pass
-    if not with_metadata:
-        (tmp_path / "bag" / "metadata.yaml").unlink()
-    assert "sqlite3" in refusal(tmp_path / "bag")
-    assert "ros2 bag convert" in refusal(tmp_path / "bag")
-
-
-def test_a_ros_1_recording_is_named(tmp_path):
-    with (tmp_path / "old.mcap").open("wb") as stream:
-        writer = McapWriter(stream)
-        writer.start(profile="ros1", library="")
-        writer.finish()
-    assert "ROS 1" in refusal(tmp_path / "old.mcap")
 
 
 def test_a_message_of_a_type_not_installed_is_named(tmp_path):

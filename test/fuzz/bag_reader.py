@@ -18,7 +18,8 @@ import atheris
 with atheris.instrument_imports(include=["turbseg_ros", "mcap"]):
     from turbseg_ros.bag import qos
     from turbseg_ros.bag.errors import BagError
-    from turbseg_ros.bag.reader import BagReader, Record
+    from turbseg_ros.bag.reader import BagReader
+    from turbseg_ros.bag.records import Record
     from turbseg_ros.bag.schema import message_definition
 
 from mcap.writer import CompressionType, Writer

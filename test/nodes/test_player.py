@@ -20,7 +20,7 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
 from support.node_harness import BEST_EFFORT, TIMEOUT, Probe
-from turbseg_ros.bag.reader import Record, Topic
+from turbseg_ros.bag.records import Record, Topic
 from turbseg_ros.bag.writer import BagWriter
 from turbseg_ros.cli.play import main
 from turbseg_ros.messages.images import image_from_message, message_from_image, stamp_to_ns
@@ -288,6 +288,19 @@ def test_a_round_lasts_until_the_next_image_is_due(stamps, headers, period):
         extent.add(Record(IMAGES, "sensor_msgs/msg/Image", stamp, data), Image)
         extent.add(Record("/chatter", "std_msgs/msg/String", stamp, b""), String)
     assert extent.period({IMAGES}) == period
+
+
+@pytest.mark.parametrize("first", [0, 1, 1000 * SECOND])
+def test_nobody_waits_from_a_time_that_was_not_set_to_one_that_was(tmp_path, first):
+    """A latched message at time 0 would be played 56 years before the images."""
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.write("/chatter", String(data="latched"), first)
+        for i in range(FRAMES):
+            writer.write("/chatter", String(data=f"word {i}"), 1772366400 * SECOND + i * PERIOD)
+    command = [sys.executable, "-m", "turbseg_ros.cli", "play", str(tmp_path / "bag")]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT)
+    assert ended.returncode == 0
+    assert ended.stderr.count("the time between is left out") == 1
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

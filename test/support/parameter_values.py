@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from hypothesis import strategies as st
 
+from turbseg_ros.parameter_file import scalar
 from turbseg_ros.parameters import Declaration, declarations
 
 DECLARED = {declaration.name: declaration for declaration in declarations()}
@@ -22,8 +23,10 @@ def values_of(declaration: Declaration) -> st.SearchStrategy:
     if declaration.type is int:
         return st.integers(_whole(declaration.minimum), _whole(declaration.maximum))
     if declaration.type is float:
-        return st.floats(declaration.minimum, declaration.maximum)
-    return st.text()
+        # ROS takes smaller ones for texts.
+        return st.floats(declaration.minimum, declaration.maximum, allow_subnormal=False)
+    # Without quotes, where YAML libraries write none, ROS takes `y` and `1e5` for something else.
+    return st.text().filter(lambda text: scalar(text) == text)
 
 
 # Texts that are no choice among some.

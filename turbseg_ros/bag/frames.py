@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 from collections import deque
 from collections.abc import Generator, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar, cast
 
-from turbseg_ros.bag.reader import BagReader, Record
+from turbseg_ros.bag.errors import BagError
+from turbseg_ros.bag.reader import BagReader
 from turbseg_ros.bag.schema import message_class
 from turbseg_ros.messages.images import ImageConversionError, frame_from_serialised
+from turbseg_ros.messages.video import (
+    VIDEO_TRANSPORTS,
+    VideoDecoder,
+    how_to_read_video,
+    video_packet,
+)
 from turbseg_ros.segmentation.frame import Frame
 from turbseg_ros.throttle import ThrottledLogger
 
@@ -23,14 +31,20 @@ _END = object()
 class BagFrames:
     """The frames of a bag's image topic, in the order they were recorded.
 
-    An image that can't be read as one is warned about, throttled by kind, counted in `skipped` and
-    left out; `lost` counts those that the bag states and that its damaged parts no longer give.
+    Video packets are decoded where PyAV is installed. An image that can't be read as one is warned
+    about, throttled by kind, counted in `skipped` and left out; so are packets that give no frame.
+    `lost` counts those that the bag states and that its damaged parts no longer give.
+
+    :raises BagError: when they are video packets and PyAV is missing; also when iterated over.
     """
 
     def __init__(self, reader: BagReader, image_topic: str) -> None:
         self._reader = reader
         self._topic = image_topic
-        self._kind = message_class(reader.topics[image_topic].type_name)
+        self._type = reader.topics[image_topic].type_name
+        self._kind = None if self._type in VIDEO_TRANSPORTS else message_class(self._type)
+        if self._kind is None:
+            self._video_decoder()  # refused now rather than at the first image
         self.skipped = 0
         self.lost = 0
         self._throttled = ThrottledLogger(_LOGGER)
@@ -42,21 +56,41 @@ class BagFrames:
     def __iter__(self) -> Iterator[Frame]:
         self.skipped = 0
         self.lost = len(self)
+        decoder: VideoDecoder | None = None
         for number, record in enumerate(self._reader.messages([self._topic])):
             self.lost -= 1
-            frame = self._frame(number, record)
-            if frame is not None:
-                yield frame
-
-    def _frame(self, number: int, record: Record) -> Frame | None:
-        try:
-            return frame_from_serialised(memoryview(record.data), self._kind)
-        except ImageConversionError as error:
             self.skipped += 1
+            with self._told(number):
+                packet = video_packet(memoryview(record.data), self._type)
+                if packet is None:
+                    assert self._kind is not None  # or all would be packets
+                    yield self._counted(frame_from_serialised(memoryview(record.data), self._kind))
+                    continue
+                decoder = decoder or self._video_decoder()
+                yield from map(self._counted, decoder.decode(packet))
+        if decoder is not None:
+            with self._told(len(self)):
+                yield from map(self._counted, decoder.flush())
+
+    def _video_decoder(self) -> VideoDecoder:
+        try:
+            return VideoDecoder()
+        except ImportError as error:
+            raise BagError(how_to_read_video(self._topic, self._type)) from error
+
+    def _counted(self, frame: Frame) -> Frame:
+        self.skipped -= 1
+        return frame
+
+    @contextlib.contextmanager
+    def _told(self, number: int) -> Iterator[None]:
+        """Warn of an image that can't be read."""
+        try:
+            yield
+        except ImageConversionError as error:
             self._throttled.warning(
                 type(error).__name__, f"image {number} of {self._topic} skipped: {error}"
             )
-            return None
 
 
 def ahead(items: Iterable[T], depth: int = 2) -> Generator[T, None, None]:

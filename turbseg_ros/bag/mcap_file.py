@@ -7,6 +7,7 @@ own messages only.
 
 from __future__ import annotations
 
+import functools
 import heapq
 import importlib
 import io
@@ -28,7 +29,6 @@ from mcap.records import (
     Chunk,
     ChunkIndex,
     Footer,
-    Header,
     McapRecord,
     Message,
     Schema,
@@ -39,10 +39,14 @@ from mcap.summary import Summary
 from mcap.writer import MCAP0_MAGIC
 
 from turbseg_ros.bag.errors import BagError
+from turbseg_ros.bag.records import Stream
+from turbseg_ros.bag.schema import canonical_type_name
 
 _LOGGER = logging.getLogger(__name__)
 
 _COMPRESSIONS = ("", "zstd", "lz4")
+# Of the messages in a channel; `ros1` is converted.
+_ROS_ENCODINGS = ("cdr", "ros1")
 _RECORD_HEAD = struct.Struct("<BQ")
 _FOOTER_SIZE = _RECORD_HEAD.size + struct.calcsize("<QQI")
 # A chunk holds one message at least; 1 GiB is an uncompressed 8K picture five times over.
@@ -89,12 +93,14 @@ class StoredChunk:
 class McapFile:
     """What one file holds: channels and schemas by id, messages counted by channel, chunks.
 
-    Without `chunks`, messages lie in the file one by one. `damage` says what is wrong with the
-    file, None when nothing is; counts are then of what is left, and `lossy` tells whether that
-    may be less than there was.
+    `content` is where its bytes lie, which is elsewhere when the file had to be unpacked. Without
+    `chunks`, messages lie in it one by one. `damage` says what is wrong with the file, None when
+    nothing is; counts are then of what is left, and `lossy` tells whether that may be less than
+    there was.
     """
 
     path: Path
+    content: Path
     schemas: Mapping[int, Schema]
     channels: Mapping[int, Channel]
     counts: Mapping[int, int]
@@ -109,25 +115,52 @@ class McapFile:
         """Messages on all channels."""
         return sum(self.counts.values())
 
-    def messages(self, topics: Collection[str] | None) -> Iterator[tuple[Channel, Message]]:
-        """Return the messages of `topics`, of all by default, in the order of time.
+    @functools.cached_property
+    def streams(self) -> Mapping[int, Stream]:
+        """The channels that hold ROS messages, by id."""
+        streams = {id: self._stream(channel) for id, channel in self.channels.items()}
+        return {id: stream for id, stream in streams.items() if stream is not None}
 
-        In a file without chunks they come as they lie. What is damaged is left out with a
-        warning. Memory holds no more than the chunks that overlap in time.
+    @property
+    def left_out(self) -> Sequence[str]:
+        """The topics of the other channels, and how they are encoded."""
+        return [
+            f"{channel.topic} ({channel.message_encoding or 'encoding unknown'}"
+            + ("" if channel.schema_id in self.schemas else ", without a type")
+            + ")"
+            for id, channel in self.channels.items()
+            if id not in self.streams
+        ]
+
+    def read(self, wanted: Collection[int]) -> Iterator[tuple[int, int, bytes]]:
+        """Return channel, time and data of the wanted channels' messages, in the order of time.
+
+        What is damaged is left out with a warning. Memory holds no more than the chunks that
+        overlap in time.
 
         :raises OSError: when the file can't be read.
         """
-        wanted = {
-            id: channel
-            for id, channel in self.channels.items()
-            if topics is None or channel.topic in topics
-        }
-        with self.path.open("rb") as stream:
-            if not self.chunks:
-                yield from _single_messages(stream, wanted)
-                return
-            for message in _in_order_of_time(self._selected(stream, wanted)):
-                yield wanted[message.channel_id], message
+        with self.content.open("rb") as stream:
+            messages = (
+                _in_order_of_time(self._selected(stream, wanted))
+                if self.chunks
+                else _single_messages(stream, wanted)
+            )
+            for message in messages:
+                yield message.channel_id, message.log_time, message.data
+
+    def _stream(self, channel: Channel) -> Stream | None:
+        schema = self.schemas.get(channel.schema_id)
+        if schema is None or channel.message_encoding not in _ROS_ENCODINGS:
+            return None
+        ros1 = channel.message_encoding == "ros1"
+        return Stream(
+            topic=channel.topic,
+            type_name=canonical_type_name(schema.name),
+            message_count=self.counts.get(channel.id, 0),
+            qos=channel.metadata.get("offered_qos_profiles", ""),
+            ros1_definition=schema.data.decode(errors="replace") if ros1 else None,
+        )
 
     def _selected(
         self, stream: BinaryIO, wanted: Collection[int]
@@ -154,29 +187,25 @@ class McapFile:
             )
 
 
-def open_mcap(path: Path) -> McapFile:
-    """Find out what an MCAP file holds.
+def open_mcap(path: Path, content: Path) -> McapFile:
+    """Find out what an MCAP file holds, whose bytes lie in `content`.
 
-    A file that was cut, or whose index is damaged, is gone through from its beginning.
+    A file that was cut, or whose index is damaged or says too little, is gone through from its
+    beginning.
 
-    :raises BagError: when it isn't an MCAP file of ROS 2, or nothing of it can be saved.
+    :raises BagError: when nothing of it can be saved.
     :raises OSError: when it can't be read.
     """
-    with path.open("rb") as stream:
-        return _opened(path, stream)
+    with content.open("rb") as stream:
+        return replace(_opened(path, stream), content=content)
 
 
 def _opened(path: Path, stream: BinaryIO) -> McapFile:
-    if stream.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
-        raise BagError(f"{path} is not a bag: it is neither an MCAP file nor a rosbag2 directory")
     size = stream.seek(0, io.SEEK_END)
     stream.seek(max(size - len(MCAP0_MAGIC), len(MCAP0_MAGIC)))
     if stream.read() != MCAP0_MAGIC:
         return _recovered(path, stream, "is truncated")
     try:
-        first = next(_records(stream), None)
-        if first is not None and first.opcode == Opcode.HEADER:
-            _check_profile(path, Header.read(_data(first.content())))
         summary = _summary(stream, size)
         return _recovered(path, stream, None) if summary is None else _indexed(path, summary)
     except _DAMAGE as error:
@@ -211,12 +240,19 @@ def _summary(stream: BinaryIO, size: int) -> Summary | None:
     statistics = summary.statistics
     if statistics is None or len(summary.chunk_indexes) != statistics.chunk_count:
         return None
-    return summary
+    return summary if _says_all(summary, statistics) else None
 
 
-def _check_profile(path: Path, header: Header) -> None:
-    if header.profile == "ros1":
-        raise BagError(f"{path} was recorded by ROS 1; convert it with 'rosbags-convert'")
+def _says_all(summary: Summary, statistics: Statistics) -> bool:
+    """Whether it has all that is optional: counts, and the channels and schemas once more."""
+    counted = statistics.channel_message_counts
+    if statistics.message_count and not counted:
+        return False
+    channels = summary.channels
+    return counted.keys() <= channels.keys() and all(
+        channel.schema_id in summary.schemas or channel.schema_id == 0
+        for channel in channels.values()
+    )
 
 
 def _indexed(path: Path, summary: Summary) -> McapFile:
@@ -227,8 +263,6 @@ def _indexed(path: Path, summary: Summary) -> McapFile:
         raise _DamageError("its counts contradict one another")
     if statistics.message_end_time < statistics.message_start_time:
         raise _DamageError("its last message comes before its first")
-    if not counts.keys() <= summary.channels.keys():
-        raise _DamageError("it counts messages of channels that it doesn't name")
     compressions = {index.compression for index in summary.chunk_indexes}
     if compressions and compressions.isdisjoint(_COMPRESSIONS):
         raise BagError(
@@ -237,6 +271,7 @@ def _indexed(path: Path, summary: Summary) -> McapFile:
         )
     return McapFile(
         path=path,
+        content=path,
         schemas=summary.schemas,
         channels=summary.channels,
         counts=counts,
@@ -308,10 +343,7 @@ def _recovered(path: Path, stream: BinaryIO, fault: str | None) -> McapFile:
             if raw.opcode == Opcode.CHUNK:
                 census.take_chunk(raw.begin, raw.content())
             elif raw.opcode in _PLAIN_RECORDS:
-                record = _PLAIN_RECORDS[raw.opcode](raw.content())
-                if isinstance(record, Header):
-                    _check_profile(path, record)
-                census.take(record)
+                census.take(_PLAIN_RECORDS[raw.opcode](raw.content()))
         except _DAMAGE as error:
             census.spoilt += 1
             census.first_fault = census.first_fault or f"at byte {raw.begin}: {_reason(error)}"
@@ -322,6 +354,7 @@ def _recovered(path: Path, stream: BinaryIO, fault: str | None) -> McapFile:
     known = {id: count for id, count in census.counts.items() if id in census.channels}
     return McapFile(
         path=path,
+        content=path,
         schemas=census.schemas,
         channels=census.channels,
         counts=known,
@@ -393,16 +426,13 @@ def _message(content: bytes) -> Message:
 
 
 _PLAIN_RECORDS: Mapping[int, Callable[[bytes], McapRecord]] = {
-    Opcode.HEADER: lambda content: Header.read(_data(content)),
     Opcode.SCHEMA: lambda content: Schema.read(_data(content)),
     Opcode.CHANNEL: lambda content: Channel.read(_data(content)),
     Opcode.MESSAGE: _message,
 }
 
 
-def _single_messages(
-    stream: BinaryIO, wanted: Mapping[int, Channel]
-) -> Iterator[tuple[Channel, Message]]:
+def _single_messages(stream: BinaryIO, wanted: Collection[int]) -> Iterator[Message]:
     for raw in _records(stream):
         if raw.opcode != Opcode.MESSAGE:
             continue
@@ -411,7 +441,7 @@ def _single_messages(
         except _DAMAGE:  # told when the file was opened
             continue
         if message.channel_id in wanted:
-            yield wanted[message.channel_id], message
+            yield message
 
 
 def _in_order_of_time(chunks: Iterator[tuple[int, list[Message]]]) -> Iterator[Message]:

@@ -1,85 +1,48 @@
-"""Reading of rosbag2 bags stored as MCAP."""
+"""Reading of recorded bags: rosbag2's, single files, and what else `rosbags` can read."""
 
 from __future__ import annotations
 
+import contextlib
 import heapq
 import logging
-import re
-from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+import shutil
+import tempfile
+import weakref
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-import yaml
-from mcap.records import Channel
+from mcap.writer import MCAP0_MAGIC
 from rclpy.qos import QoSProfile
-from rclpy.serialization import deserialize_message
 
 from turbseg_ros.bag import qos as qos_format
+from turbseg_ros.bag.compression import is_compressed, unpack, unpacked_message
 from turbseg_ros.bag.errors import BagError, printable, reading
-from turbseg_ros.bag.mcap_file import MAX_MESSAGES, McapFile, open_mcap
-from turbseg_ros.bag.schema import message_class
-from turbseg_ros.bag.topics import TRUTH_NAMESPACE
+from turbseg_ros.bag.layout import find_layout, shortened
+from turbseg_ros.bag.mcap_file import open_mcap
+from turbseg_ros.bag.records import IMAGE_TYPES, BagFile, Record, Stream, Topic
+from turbseg_ros.bag.rosbags_file import (
+    ROS1_MAGIC,
+    SQLITE_MAGIC,
+    open_with_rosbags,
+    ros1_converter,
+)
+from turbseg_ros.bag.topics import is_result
 
 _LOGGER = logging.getLogger(__name__)
 
-_IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
-# How rosbag2 names the files that it splits a recording into.
-_SPLIT_NAME = re.compile(r"(?P<stem>.+)_(?P<number>\d+)\.mcap")
-# A metadata.yaml of a thousand topics is smaller than this, in bytes.
-_MAX_METADATA = 2**24
-
-
-@dataclass(frozen=True)
-class Topic:
-    """A recorded topic; `qos` are the profiles that its publishers offered, if recorded.
-
-    `message_count` is what the bag states; where it is damaged, fewer can be read.
-    """
-
-    name: str
-    type_name: str
-    message_count: int
-    qos: tuple[QoSProfile, ...]
-
-    @property
-    def has_images(self) -> bool:
-        """Whether images were recorded, compressed or not."""
-        return self.type_name in _IMAGE_TYPES and self.message_count > 0
-
-    @property
-    def is_truth(self) -> bool:
-        """Whether it is ground truth to score against, not input."""
-        return TRUTH_NAMESPACE in self.name.split("/")
-
-
-@dataclass(frozen=True, slots=True)
-class Record:
-    """A recorded message: `data` is its CDR, `stamp_ns` when it was recorded, nanoseconds."""
-
-    topic: str
-    type_name: str
-    stamp_ns: int
-    data: bytes
-
-    def message(self) -> Any:
-        """Return the ROS message.
-
-        :raises BagError: when the data is damaged or its message type isn't installed.
-        """
-        kind = message_class(self.type_name)
-        try:
-            return deserialize_message(self.data, kind)
-        except Exception as error:  # rclpy raises a bare RMWError or RuntimeError
-            raise BagError(f"{self.topic}: damaged {self.type_name} ({error})") from error
+# Pictures that a camera publishes once more, for other transports.
+_TRANSPORTS = ("compressed", "compressedDepth", "theora", "ffmpeg", "foxglove", "zstd")
 
 
 class BagReader:
-    """A recorded bag: a rosbag2 directory, or a single MCAP file.
+    """A recorded bag: a rosbag2 directory, or a single file.
 
     Only the index is read at first; messages are read chunk by chunk when asked for. A file that
     was cut, or whose index is damaged, is gone through instead: what its whole chunks hold is
-    read, and a warning is logged.
+    read. What is lost, missing, or no ROS message is left out, and a warning is logged. Files that
+    are compressed as a whole are unpacked into the folder of temporary files.
 
     :raises BagError: when there is no such bag, or it isn't one, or nothing of it can be saved.
     """
@@ -87,17 +50,32 @@ class BagReader:
     def __init__(self, path: Path) -> None:
         self.path = path
         with reading(path):
-            information = _information(path)
-            self._files = [open_mcap(file) for file in _storage_files(path, information)]
-        self._topics = _merged_topics(self._files)
-        self._report_damage(_stated_counts(information))
+            layout = find_layout(path)
+            self._files, faults = _opened(layout.files)
+        self._packed_messages = layout.packed_messages
+        self._left_out = [name for file in self._files for name in file.left_out]
+        self._types = _chosen_types(path, self._files, self._left_out)
+        self._topics = _merged_topics(self._files, self._types)
+        if self._left_out:
+            _LOGGER.warning(
+                "%s: left out, for it can't be read as ROS messages: %s",
+                *(path, printable(shortened(list(dict.fromkeys(self._left_out))), 500)),
+            )
+        for fault in faults:
+            _LOGGER.warning("left out: %s", fault)
+        if layout.missing:
+            _LOGGER.warning(
+                "%s lacks %d of its files (%s); the others are read",
+                *(path, len(layout.missing), printable(shortened(layout.missing), 500)),
+            )
+        self._report_damage(layout.stated, bool(faults or layout.missing))
 
-    def _report_damage(self, stated: Mapping[str, int]) -> None:
+    def _report_damage(self, stated: Mapping[str, int], incomplete: bool) -> None:
         """Warn of damaged files; take what metadata.yaml states for what was recorded."""
         damaged = [file for file in self._files if file.damage is not None]
         for file in damaged:
             _LOGGER.warning("%s %s", file.path, file.damage)
-        if not any(file.lossy for file in damaged):
+        if not (incomplete or any(file.lossy for file in damaged)):
             return
         for name, topic in self._topics.items():
             count = max(topic.message_count, stated.get(name, 0))
@@ -123,7 +101,8 @@ class BagReader:
     def find_image_topic(self, requested: str | None = None) -> str:
         """Return the topic whose images are to be segmented.
 
-        That is `requested`, or else the only one with images that are not ground truth.
+        That is `requested`, or else the only one with images that are neither ground truth nor
+        results of this package's node. Of a camera's transports it is the raw one.
 
         :raises BagError: when there is none, or several to choose from, or `requested` isn't one.
         """
@@ -136,10 +115,16 @@ class BagReader:
                 f"{_listed(images)} and other messages on "
                 f"{_listed([name for name in self.topics if name not in images])}"
             )
-        inputs = [name for name in images if not self.topics[name].is_truth]
+        types = {name: topic.type_name for name, topic in self.topics.items()}
+        inputs = [
+            name for name in images if not (self.topics[name].is_truth or is_result(name, types))
+        ]
+        inputs = [name for name in inputs if not _is_other_transport(name, inputs)]
         if not inputs:
             raise BagError(
-                f"{self.path} has no image topic to segment; its topics: {_listed(self.topics)}"
+                f"{self.path} has no image topic to segment; its topics: "
+                f"{_listed([f'{name} ({kind})' for name, kind in types.items()])}"
+                + (f"; left out: {_listed(self._left_out)}" if self._left_out else "")
             )
         if len(inputs) > 1:
             raise BagError(
@@ -156,155 +141,164 @@ class BagReader:
 
         :raises BagError: when a file can't be read any more; what came before is sound.
         """
-        streams = [_read(file, topics) for file in self._files]
+        streams = [self._read(file, topics) for file in self._files]
         return heapq.merge(*streams, key=lambda record: record.stamp_ns)
 
-
-def _information(path: Path) -> Mapping[str, Any] | None:
-    """Return what a bag's metadata.yaml says, None when it has none."""
-    metadata = path / "metadata.yaml"
-    if not metadata.is_file():
-        return None
-    try:
-        if metadata.stat().st_size > _MAX_METADATA:
-            raise BagError(f"{metadata} is too large: {metadata.stat().st_size} bytes")
-        information = yaml.safe_load(metadata.read_text())["rosbag2_bagfile_information"]
-    except (yaml.YAMLError, KeyError, TypeError, ValueError, RecursionError) as error:
-        raise BagError(
-            f"{metadata} is damaged; remove it or rebuild it with 'ros2 bag reindex'"
-        ) from error
-    if not isinstance(information, dict):
-        raise BagError(f"{metadata} holds no rosbag2_bagfile_information")
-    return information
-
-
-def _storage_files(path: Path, information: Mapping[str, Any] | None) -> list[Path]:
-    if path.is_file():
-        return [path]
-    if not path.exists():
-        raise BagError(f"no such bag: {path}")
-    if information is not None:
-        return _listed_files(path, information)
-    names = [entry.name for entry in path.iterdir()]
-    found = sorted(name for name in names if name.endswith(".mcap"))
-    if len(found) == 1:
-        return [path / found[0]]
-    parts = _parts_of_one_recording(found)
-    if parts:
-        return [path / name for name in parts]
-    if any(name.endswith(".db3") for name in names):
-        raise _sqlite_error(path)
-    raise BagError(
-        f"{path} is not a bag: it has no metadata.yaml and {len(found) or 'no'} .mcap files"
-    )
-
-
-def _parts_of_one_recording(names: Iterable[str]) -> list[str]:
-    """Order the files of a recording that was split and not ended; none when they aren't that."""
-    numbered = {}
-    stems = set()
-    for name in names:
-        match = _SPLIT_NAME.fullmatch(name)
-        if match is None:
-            return []
-        stems.add(match["stem"])
-        numbered[int(match["number"])] = name
-    if len(stems) != 1 or sorted(numbered) != list(range(len(numbered))):
-        return []
-    return [numbered[number] for number in sorted(numbered)]
-
-
-def _listed_files(directory: Path, information: Mapping[str, Any]) -> list[Path]:
-    storage = information.get("storage_identifier")
-    if storage == "sqlite3":
-        raise _sqlite_error(directory)
-    if storage != "mcap":
-        kind = storage if isinstance(storage, str) else "something unnamed"
-        raise BagError(f"{directory} is stored as {kind}; only mcap can be read")
-    if information.get("compression_mode"):
-        raise BagError(
-            f"{directory} is compressed by rosbag2 (its compression_mode is set); "
-            "convert it with 'ros2 bag convert' to plain mcap, which compresses by itself"
-        )
-    names = information.get("relative_file_paths")
-    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        names = []
-    # Early rosbag2 wrote names that begin with the directory's own; nothing else lies outside.
-    files = [directory / Path(name).name for name in names]
-    if not files:
-        raise BagError(f"{directory / 'metadata.yaml'} names no .mcap file")
-    missing = [file.name for file in files if not file.is_file()]
-    if missing:
-        raise BagError(f"{directory} lacks {_listed(missing)}, which its metadata.yaml names")
-    return files
-
-
-def _stated_counts(information: Mapping[str, Any] | None) -> dict[str, int]:
-    """Return the messages of each topic that metadata.yaml states; nothing when it is damaged."""
-    try:
-        counts = {
-            str(entry["topic_metadata"]["name"]): int(entry["message_count"])
-            for entry in (information or {})["topics_with_message_count"]
+    def _read(self, file: BagFile, topics: Collection[str] | None) -> Iterator[Record]:
+        wanted = {
+            number: stream
+            for number, stream in file.streams.items()
+            if self._types.get(stream.topic) == stream.type_name
+            and (topics is None or stream.topic in topics)
         }
-    except (KeyError, TypeError, ValueError, OverflowError):
-        return {}
-    return counts if all(0 <= count <= MAX_MESSAGES for count in counts.values()) else {}
+        spoilt = 0
+        with reading(file.path):
+            for number, stamp, data in file.read(wanted):
+                stream = wanted[number]
+                content = unpacked_message(data) if self._packed_messages else data
+                content = _as_cdr(stream, content)
+                if content is None:
+                    spoilt += 1
+                else:
+                    yield Record(stream.topic, stream.type_name, stamp, content)
+        if spoilt:
+            _LOGGER.warning("%s: %d damaged messages are left out", file.path, spoilt)
 
 
-def _sqlite_error(path: Path) -> BagError:
-    return BagError(
-        f"{path} is stored as sqlite3; only mcap can be read: "
-        "convert it with 'ros2 bag convert' (storage_id: mcap)"
-    )
+def _opened(paths: Sequence[Path]) -> tuple[list[BagFile], list[str]]:
+    """Open the files of a bag; return those that can be read, and what is wrong with the others.
+
+    :raises BagError: when none can be.
+    """
+    files: list[BagFile] = []
+    faults: list[BagError] = []
+    for path in paths:
+        with _collected(faults):
+            files.append(_open_file(path))
+    if not files:
+        raise faults[0]
+    return files, [str(fault) for fault in faults]
 
 
-def _merged_topics(files: Iterable[McapFile]) -> dict[str, Topic]:
+@contextlib.contextmanager
+def _collected(faults: list[BagError]) -> Iterator[None]:
+    try:
+        yield
+    except BagError as error:
+        faults.append(error)
+
+
+def _open_file(path: Path) -> BagFile:
+    """Open one file, by what it begins with.
+
+    :raises BagError: when it is none of those that can be read, or nothing of it can be saved.
+    :raises OSError: when it can't be read.
+    """
+    if not is_compressed(_beginning(path)):
+        return _open_content(path, path)
+    folder = Path(tempfile.mkdtemp(prefix="turbseg_bag_"))
+    try:
+        file = _open_content(path, unpack(path, folder))
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+    weakref.finalize(file, shutil.rmtree, folder, ignore_errors=True)
+    return file
+
+
+def _open_content(path: Path, content: Path) -> BagFile:
+    beginning = _beginning(content)
+    if beginning.startswith(MCAP0_MAGIC):
+        return open_mcap(path, content)
+    if beginning.startswith((SQLITE_MAGIC, ROS1_MAGIC)):
+        return open_with_rosbags(path, content)
+    raise BagError(f"{path} is not a bag: it is neither an MCAP file nor a rosbag2 directory")
+
+
+def _beginning(path: Path) -> bytes:
+    with path.open("rb") as stream:
+        return stream.read(16)
+
+
+def _chosen_types(path: Path, files: Iterable[BagFile], left_out: list[str]) -> dict[str, str]:
+    """Return the type by which each topic is read: images, or what it has most messages of.
+
+    What else is recorded under its name is left out, and so is what ROS 1 recorded of types that
+    ROS 2 doesn't have.
+    """
+    counts: dict[str, Counter[str]] = {}
+    for file in files:
+        for stream in file.streams.values():
+            if _is_readable(file.path, stream):
+                counted = counts.setdefault(stream.topic, Counter())
+                counted[stream.type_name] += stream.message_count
+            else:
+                left_out.append(f"{stream.topic} ({stream.type_name} of ROS 1)")
+    chosen = {}
+    for topic, counted in counts.items():
+        chosen[topic] = max(
+            counted, key=lambda kind: (kind in IMAGE_TYPES and counted[kind] > 0, counted[kind])
+        )
+        for kind, count in counted.items():
+            if kind != chosen[topic]:
+                _LOGGER.warning(
+                    "%s: %s carries two types: it is read as %s, %d messages of %s are left out",
+                    *(path, printable(topic, 100), chosen[topic], count, printable(kind, 100)),
+                )
+    return chosen
+
+
+def _is_readable(path: Path, stream: Stream) -> bool:
+    if stream.ros1_definition is None:
+        return True
+    try:
+        return ros1_converter(stream.type_name, stream.ros1_definition) is not None
+    except ImportError as error:
+        raise BagError(
+            f"{path} was recorded by ROS 1; 'pip install rosbags' to read it as it is"
+        ) from error
+
+
+def _as_cdr(stream: Stream, data: bytes | None) -> bytes | None:
+    """Return a message's CDR, None when it is damaged."""
+    if data is None or stream.ros1_definition is None:
+        return data
+    convert = ros1_converter(stream.type_name, stream.ros1_definition)
+    assert convert is not None  # or its topic would have been left out
+    try:
+        return convert(data)
+    except Exception:  # a foreign library on damaged content
+        return None
+
+
+def _merged_topics(files: Iterable[BagFile], types: Mapping[str, str]) -> dict[str, Topic]:
     topics: dict[str, Topic] = {}
     for file in files:
-        for channel in file.channels.values():
-            topic = _topic(file, channel)
-            known = topics.get(topic.name)
-            if known is None:
-                topics[topic.name] = topic
-            elif known.type_name != topic.type_name:
-                raise BagError(
-                    f"{file.path}: {topic.name} carries two types, "
-                    f"{known.type_name} and {topic.type_name}"
-                )
-            else:
-                count = known.message_count + topic.message_count
-                topics[topic.name] = replace(known, message_count=count)
+        for stream in file.streams.values():
+            if types.get(stream.topic) != stream.type_name:
+                continue
+            known = topics.get(stream.topic)
+            topics[stream.topic] = Topic(
+                name=stream.topic,
+                type_name=stream.type_name,
+                message_count=stream.message_count + (known.message_count if known else 0),
+                qos=known.qos if known else _recorded_qos(file, stream),
+            )
     return topics
 
 
-def _topic(file: McapFile, channel: Channel) -> Topic:
-    schema = file.schemas.get(channel.schema_id)
-    if schema is None or channel.message_encoding != "cdr":
-        raise BagError(
-            f"{file.path}: {channel.topic} is no ROS 2 topic "
-            f"(encoded as {channel.message_encoding})"
-        )
-    return Topic(
-        name=channel.topic,
-        type_name=schema.name,
-        message_count=file.counts.get(channel.id, 0),
-        qos=_recorded_qos(file, channel),
-    )
-
-
-def _recorded_qos(file: McapFile, channel: Channel) -> tuple[QoSProfile, ...]:
+def _recorded_qos(file: BagFile, stream: Stream) -> tuple[QoSProfile, ...]:
     try:
-        return qos_format.from_yaml(channel.metadata.get("offered_qos_profiles", ""))
+        return qos_format.from_yaml(stream.qos)
     except ValueError as error:
-        _LOGGER.warning("%s: %s has %s", file.path, printable(channel.topic, 100), error)
+        _LOGGER.warning("%s: %s has %s", file.path, printable(stream.topic, 100), error)
         return ()
 
 
-def _read(file: McapFile, topics: Collection[str] | None) -> Iterator[Record]:
-    with reading(file.path):
-        for channel, message in file.messages(topics):
-            type_name = file.schemas[channel.schema_id].name
-            yield Record(channel.topic, type_name, message.log_time, message.data)
+def _is_other_transport(name: str, names: Collection[str]) -> bool:
+    """Whether its pictures are those of a topic beside it, as `image_raw/compressed`."""
+    base, _, transport = name.rpartition("/")
+    return transport in _TRANSPORTS and base in names
 
 
 def _listed(names: Collection[str]) -> str:

@@ -19,6 +19,11 @@ from turbseg_ros.bag.errors import BagError
 _DEPENDENCY_HEADING = "=" * 80 + "\nMSG: "
 
 _TYPE_NAME = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9]*")
+# The same as ROS 1, IDL (of DDS too) and Python write it.
+_OTHER_NAME = re.compile(
+    r"/?(?P<package>[a-z][a-z0-9_]*)(?:/|::|\.)"
+    r"(?:msg(?:/|::|\.)(?P<dds>dds_(?:/|::|\.))?)?(?P<name>[A-Z][A-Za-z0-9]*)(?(dds)_)"
+)
 
 
 @dataclass(frozen=True)
@@ -67,6 +72,16 @@ def message_class(type_name: str) -> type[Any]:
     except (ImportError, AttributeError) as error:
         raise _not_installed(type_name) from error
     return found
+
+
+def canonical_type_name(name: str) -> str:
+    """Return a type's name as ROS 2 writes it: `sensor_msgs/msg/Image`.
+
+    It may be written as elsewhere: `sensor_msgs/Image`, `sensor_msgs::msg::Image`,
+    `sensor_msgs::msg::dds_::Image_`, with a slash ahead. What is none of these stays as it is.
+    """
+    match = _OTHER_NAME.fullmatch(name.strip())
+    return f"{match['package']}/msg/{match['name']}" if match else name
 
 
 def type_name_of(message: object) -> str:

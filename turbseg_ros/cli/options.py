@@ -98,14 +98,14 @@ def with_progress(
 
 
 def _parsed(override: str) -> tuple[str, object]:
-    import yaml
+    from turbseg_ros.parameter_file import parsed
 
     name, separator, value = override.partition(":=")
     if not (name and separator):
         raise ParameterError(f"-p takes NAME:=VALUE, not {override!r}")
     try:
-        return name, yaml.safe_load(value)
-    except yaml.YAMLError as error:
+        return name, parsed(value)
+    except ParameterError as error:
         raise ParameterError(f"-p {override}: the value is not YAML") from error
 
 

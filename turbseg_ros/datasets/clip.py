@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,9 +12,13 @@ import numpy as np
 
 from turbseg_ros.arrays import Image
 from turbseg_ros.bag.errors import ClipError
-
-_IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
-_IMAGE_FLAGS = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR | cv2.IMREAD_IGNORE_ORIENTATION
+from turbseg_ros.datasets.images import (
+    IMAGE_SUFFIXES,
+    ImageFolder,
+    image_folder,
+    image_paths,
+)
+from turbseg_ros.datasets.video import VideoFile, open_video
 
 # How data sets name the folders of a sequence.
 _FRAME_FOLDERS = ("frames", "images", "imgs", "img", "input", "rgb")
@@ -24,58 +27,6 @@ _MASK_FOLDERS = ("masks", "mask", "annotations", "groundtruth", "ground_truth", 
 _FRAME_TREES = (*_FRAME_FOLDERS, "jpegimages")
 # Folders between that and a sequence's own at most, as `480p` of DAVIS.
 _TREE_DEPTH = 2
-
-
-@dataclass(frozen=True)
-class ImageFolder:
-    """A folder's images in natural order, read when iterated over."""
-
-    folder: Path
-    paths: tuple[Path, ...]
-
-    @property
-    def stated_count(self) -> int:
-        """The number of images."""
-        return len(self.paths)
-
-    def count(self) -> int:
-        """Return the number of images."""
-        return len(self.paths)
-
-    def __iter__(self) -> Iterator[Image]:
-        """Read the images, HxW or HxWx3 (BGR).
-
-        :raises ClipError: for a file that is no image.
-        """
-        return map(_read_image, self.paths)
-
-
-@dataclass(frozen=True)
-class VideoFile:
-    """A video, decoded when iterated over.
-
-    `rate`, in Hz, and `stated_count`, of frames, are what the file says, None where it doesn't.
-    """
-
-    path: Path
-    rate: float | None
-    stated_count: int | None
-
-    def count(self) -> int:
-        """Count the frames by going through them, for what the file states may be wrong."""
-        return sum(1 for _ in self)
-
-    def __iter__(self) -> Iterator[Image]:
-        """Decode the frames, HxWx3 (BGR)."""
-        capture = cv2.VideoCapture(str(self.path))
-        try:
-            while True:
-                read, frame = capture.read()
-                if not read:
-                    return
-                yield frame
-        finally:
-            capture.release()
 
 
 @dataclass(frozen=True)
@@ -95,33 +46,31 @@ class FrameFormat:
     dtype: np.dtype[Any]
     colour: bool
 
-    def conform(self, frames: Iterable[Image]) -> Iterator[Image]:
-        """Return each frame as HxW, or as HxWx3 (BGR) when the clip has colour.
+    def conform(self, number: int, frame: Image) -> Image:
+        """Return a frame, the `number`th, as HxW, or as HxWx3 (BGR) when the clip has colour.
 
-        :raises ClipError: when a frame's size or depth is another.
+        :raises ClipError: when its size or depth is another.
         """
-        for number, frame in enumerate(frames):
-            height, width = frame.shape[:2]
-            if (height, width, frame.dtype) != (self.height, self.width, self.dtype):
-                raise ClipError(
-                    f"frame {number} is {width}x{height} {frame.dtype}, "
-                    f"the first {self.width}x{self.height} {self.dtype}"
-                )
-            if self.colour and frame.ndim == 2:
-                yield cv2.cvtColor(frame, cv2.COLOR_GRAY2BGR)
-            elif not self.colour and frame.ndim == 3:
-                yield frame[:, :, 0]
-            else:
-                yield frame
+        height, width = frame.shape[:2]
+        if (height, width, frame.dtype) != (self.height, self.width, self.dtype):
+            raise ClipError(
+                f"frame {number} is {width}x{height} {frame.dtype}, "
+                f"the first {self.width}x{self.height} {self.dtype}"
+            )
+        if self.colour and frame.ndim == 2:
+            return np.asarray(cv2.cvtColor(frame, cv2.COLOR_GRAY2BGR))
+        if not self.colour and frame.ndim == 3:
+            return frame[:, :, 0]
+        return frame
 
 
 def find_clip(source: Path, masks: Path | None = None) -> Clip:
     """Find the frames and masks that `source` stands for.
 
-    `source` is a video, a folder of images, or a sequence's folder with one folder of frames and
-    at most one of masks. Masks are those in `masks`, or else those beside the frames in such a
-    folder, or those that the data set keeps in a tree like that of its frames, as DAVIS does:
-    JPEGImages/480p/SEQUENCE and Annotations/480p/SEQUENCE.
+    `source` is a video, an image of many pages, a folder of images, or a sequence's folder with
+    one folder of frames and at most one of masks. Masks are those in `masks`, or else those beside
+    the frames in such a folder, or those that the data set keeps in a tree like that of its
+    frames, as DAVIS does: JPEGImages/480p/SEQUENCE and Annotations/480p/SEQUENCE.
 
     :raises ClipError: when that gives no frames, several choices, or masks that don't match.
     """
@@ -129,13 +78,15 @@ def find_clip(source: Path, masks: Path | None = None) -> Clip:
         raise ClipError(f"no such video or folder: {source}")
     if source.is_dir():
         folder, masks_beside = _sequence_folders(source)
-        frames: ImageFolder | VideoFile = _image_folder(folder)
+        frames: ImageFolder | VideoFile = image_folder(folder)
         masks = masks or masks_beside
+    elif source.suffix.lower() in IMAGE_SUFFIXES:
+        frames = image_folder(source)
     else:
-        frames = _open_video(source)
+        frames = open_video(source)
     if masks is None:
         return Clip(frames, None)
-    mask_images = _image_folder(masks)
+    mask_images = image_folder(masks)
     if frames.count() != mask_images.count():
         raise ClipError(
             f"{source} has {frames.count()} frames, {masks} has {mask_images.count()} masks; "
@@ -168,21 +119,9 @@ def _is_grey(frame: Image) -> bool:
     )
 
 
-def _open_video(path: Path) -> VideoFile:
-    capture = cv2.VideoCapture(str(path))
-    try:
-        if not capture.isOpened() or not capture.grab():
-            raise ClipError(f"{path} is not a video that can be read")
-        rate = capture.get(cv2.CAP_PROP_FPS)
-        count = capture.get(cv2.CAP_PROP_FRAME_COUNT)
-    finally:
-        capture.release()
-    return VideoFile(path, rate if rate > 0 else None, int(count) if count > 0 else None)
-
-
 def _sequence_folders(source: Path) -> tuple[Path, Path | None]:
     """Return the folders of frames and of masks that belong to `source`."""
-    if _image_paths(source):
+    if image_paths(source):
         return source, _only(_masks_in_parallel(source), source)
     frames = _folders_named(source, _FRAME_FOLDERS)
     if len(frames) != 1:
@@ -220,34 +159,3 @@ def _masks_in_parallel(frames: Path) -> list[Path]:
         for masks in _folders_named(tree.parent, _MASK_FOLDERS)
         if (masks / sequence.relative_to(tree)).is_dir()
     ]
-
-
-def _image_folder(folder: Path) -> ImageFolder:
-    if not folder.is_dir():
-        raise ClipError(f"no such folder: {folder}")
-    paths = _image_paths(folder)
-    if not paths:
-        raise ClipError(f"{folder} holds no images ({', '.join(_IMAGE_SUFFIXES)})")
-    return ImageFolder(folder, tuple(paths))
-
-
-def _image_paths(folder: Path) -> list[Path]:
-    paths = [
-        path
-        for path in folder.iterdir()
-        if path.suffix.lower() in _IMAGE_SUFFIXES and not path.name.startswith(".")
-    ]
-    return sorted(paths, key=lambda path: _natural_order(path.name))
-
-
-def _natural_order(name: str) -> tuple[tuple[str | int, ...], str]:
-    """Sort numbers in names by value, so that frame10 comes after frame9."""
-    parts = re.split(r"(\d+)", name)
-    return tuple(int(part) if part.isdecimal() else part for part in parts), name
-
-
-def _read_image(path: Path) -> Image:
-    image: Image | None = cv2.imread(str(path), _IMAGE_FLAGS)
-    if image is None:
-        raise ClipError(f"{path} is not an image that can be read")
-    return image[:, :, :3] if image.ndim == 3 else image

@@ -72,6 +72,30 @@ def compressed_image_view(serialised: memoryview) -> CompressedImageView:
     return CompressedImageView(fields.header(), fields.text(), fields.sequence())
 
 
+def ffmpeg_packet_view(serialised: memoryview) -> CompressedImageView:
+    """Read a serialised `ffmpeg_image_transport_msgs/FFMPEGPacket`; `format` is its encoding.
+
+    :raises SerialisedDataError: when it is none.
+    """
+    fields = _Fields(serialised)
+    header = fields.header()
+    fields.number("i"), fields.number("i")  # width, height
+    encoding = fields.text()
+    fields.number("Q"), fields.number("B"), fields.number("B")  # pts, flags, is_bigendian
+    return CompressedImageView(header, encoding, fields.sequence())
+
+
+def compressed_video_view(serialised: memoryview) -> CompressedImageView:
+    """Read a serialised `foxglove_msgs/CompressedVideo`.
+
+    :raises SerialisedDataError: when it is none.
+    """
+    fields = _Fields(serialised)
+    header = fields.header()  # its timestamp and frame_id lie like those of one
+    data = fields.sequence()
+    return CompressedImageView(header, fields.text(), data)
+
+
 def serialised_image(image: Image) -> bytes:
     """Return an image as rclpy would serialise it, in a fraction of the time."""
     fields = bytearray()

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import reprlib
+import struct
 import sys
 from dataclasses import dataclass
 from typing import Any, TypeAlias
@@ -12,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from builtin_interfaces.msg import Time
 from sensor_msgs.msg import CompressedImage, Image
+from std_msgs.msg import Header
 
 from turbseg_ros.messages.cdr import (
     CompressedImageView,
@@ -20,6 +23,7 @@ from turbseg_ros.messages.cdr import (
     compressed_image_view,
     image_view,
 )
+from turbseg_ros.messages.planar import PLANAR_LAYOUTS, PlanarLayout
 from turbseg_ros.segmentation.frame import Frame
 
 AnyImage: TypeAlias = Image | CompressedImage | ImageView | CompressedImageView
@@ -28,6 +32,11 @@ _NANOSECONDS = 1_000_000_000
 # A PNG is its signature and chunks: length, kind, so many bytes of data, checksum.
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _PNG_CHUNK_FRAME = 12
+# What compressed_depth_image_transport puts ahead of the picture: a format, and two numbers that
+# make depth of what a picture of floats holds.
+_DEPTH_HEAD = struct.Struct("<iff")
+# Formats of compressed images that hold no pictures but packets of video.
+_VIDEO = re.compile("264|265|hevc|av1|vp8|vp9|theora", re.IGNORECASE)
 
 
 class ImageConversionError(ValueError):
@@ -55,6 +64,7 @@ class _Layout:
     """How an encoding stores a pixel, and OpenCV's conversion of that to grey or BGR, if any.
 
     Every conversion needs at least `minimum` pixels each way, and a width that `columns` divides.
+    Types that the method doesn't take become float32, which holds 24 bits of them.
     """
 
     dtype: type[np.generic]
@@ -76,9 +86,17 @@ _YUYV = _Layout(np.uint8, 2, cv2.COLOR_YUV2BGR_YUY2, columns=2)
 _LAYOUTS = {
     "mono8": _Layout(np.uint8),
     "8UC1": _Layout(np.uint8),
+    "8SC1": _Layout(np.int8),
     "mono16": _Layout(np.uint16),
     "16UC1": _Layout(np.uint16),
+    "16SC1": _Layout(np.int16),
+    "32SC1": _Layout(np.int32),
     "32FC1": _Layout(np.float32),
+    "64FC1": _Layout(np.float64),
+    "8UC3": _Layout(np.uint8, 3),
+    "8UC4": _Layout(np.uint8, 4, cv2.COLOR_BGRA2BGR),
+    "16UC3": _Layout(np.uint16, 3),
+    "16UC4": _Layout(np.uint16, 4, cv2.COLOR_BGRA2BGR),
     "bgr8": _Layout(np.uint8, 3),
     "rgb8": _Layout(np.uint8, 3, cv2.COLOR_RGB2BGR),
     "bgra8": _Layout(np.uint8, 4, cv2.COLOR_BGRA2BGR),
@@ -100,6 +118,9 @@ _LAYOUTS = {
     "yuv422_yuy2": _YUYV,
     "yuyv": _YUYV,
 }
+
+# What the method takes.
+_METHOD_TYPES = (np.uint8, np.uint16, np.float32)
 
 # By type and channels, what needs no conversion.
 _PLAIN = {
@@ -130,9 +151,17 @@ def frame_from_message(message: AnyImage) -> Frame:
         a second or more, for the answers could not carry it.
     """
     header = message.header
+    return Frame(stamp_of(header), image_from_message(message), header.frame_id)
+
+
+def stamp_of(header: Header) -> int:
+    """Return the time of an image's header, nanoseconds.
+
+    :raises StampError: when its nanoseconds make a second or more.
+    """
     if header.stamp.nanosec >= _NANOSECONDS:
         raise StampError(f"image stamp has {header.stamp.nanosec} ns, which is a second or more")
-    return Frame(stamp_to_ns(header.stamp), image_from_message(message), header.frame_id)
+    return stamp_to_ns(header.stamp)
 
 
 def image_from_message(message: AnyImage) -> npt.NDArray[Any]:
@@ -148,13 +177,16 @@ def image_from_message(message: AnyImage) -> npt.NDArray[Any]:
         return _decoded(message)
     layout = _LAYOUTS.get(message.encoding)
     if layout is None:
+        planar = PLANAR_LAYOUTS.get(message.encoding.lower())
+        if planar is not None:
+            return _from_planes(message, planar)
         raise UnknownEncodingError(
             f"image encoding {reprlib.repr(message.encoding)} is not supported; "
-            f"it takes {', '.join(_LAYOUTS)}"
+            f"it takes {', '.join((*_LAYOUTS, *PLANAR_LAYOUTS))}"
         )
     stored = _native(_pixels(message, layout))
     if layout.conversion is None:
-        return stored
+        return stored if layout.dtype in _METHOD_TYPES else _as_float(stored)
     converted: npt.NDArray[Any] = cv2.cvtColor(stored, layout.conversion)
     return converted
 
@@ -231,6 +263,37 @@ def _pixels(message: Image | ImageView, layout: _Layout) -> npt.NDArray[Any]:
     return pixels[:, :, 0] if layout.channels == 1 else pixels
 
 
+def _from_planes(message: Image | ImageView, layout: PlanarLayout) -> npt.NDArray[np.uint8]:
+    """Return an image of planes as BGR."""
+    width, height, step = message.width, message.height, message.step
+    if min(height, width) == 0:
+        raise ImageSizeError(f"image of {width}x{height} pixels is empty")
+    if layout.is_subsampled and (width % 2 or height % 2):
+        raise ImageSizeError(
+            f"image of {width}x{height} pixels can't be {message.encoding}: it has a colour for "
+            "every two by two, so that both must be even"
+        )
+    if step < width:
+        raise ImageDataError(
+            f"image step {step} is too short: {width} pixels of {message.encoding} are {width} "
+            "bytes of luma"
+        )
+    if len(message.data) == layout.size(width, height, width):
+        step = width  # some count the chroma's bytes in
+    needed = layout.size(width, height, step)
+    if len(message.data) < needed:
+        raise ImageDataError(
+            f"image data is too short: {width}x{height} {message.encoding} with step {step} "
+            f"needs {needed} bytes, not {len(message.data)}"
+        )
+    return layout.to_bgr(np.frombuffer(message.data, np.uint8), width, height, step)
+
+
+def _as_float(image: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
+    with np.errstate(over="ignore"):  # infinite then, which the tone map takes
+        return image.astype(np.float32)
+
+
 def _check_size(message: Image | ImageView, layout: _Layout) -> None:
     size = f"image of {message.width}x{message.height} pixels"
     if min(message.height, message.width) == 0:
@@ -248,6 +311,35 @@ def _native(pixels: npt.NDArray[Any]) -> npt.NDArray[Any]:
 def _decoded(message: CompressedImage | CompressedImageView) -> npt.NDArray[Any]:
     data = np.frombuffer(memoryview(message.data), np.uint8)
     what = f"compressed image (format {reprlib.repr(message.format)}, {data.size} bytes)"
+    if _VIDEO.search(message.format.partition(";")[0]):
+        raise UnknownEncodingError(
+            f"{what} is a packet of video; make images of it with 'ros2 run image_transport "
+            "republish --ros-args -p in_transport:=... -p out_transport:=raw', or record it: "
+            "turbseg_replay reads video"
+        )
+    if "compressedDepth" in message.format or _is_png(data[_DEPTH_HEAD.size :]):
+        return _depth(data, message.format, what)
+    return _picture(data, what)
+
+
+def _depth(data: npt.NDArray[np.uint8], image_format: str, what: str) -> npt.NDArray[Any]:
+    """Decode what compressed_depth_image_transport publishes: 16 bits, or floats in metres."""
+    content = data[_DEPTH_HEAD.size :]
+    if not _is_png(content):
+        raise UnknownEncodingError(
+            f"{what} is no PNG behind its head; make images of it with 'ros2 run image_transport "
+            "republish --ros-args -p in_transport:=compressedDepth -p out_transport:=raw'"
+        )
+    stored = _picture(content, what)
+    if not image_format.startswith("32FC1"):
+        return stored
+    _, quantisation, offset = _DEPTH_HEAD.unpack(data[: _DEPTH_HEAD.size].tobytes())
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        depth = np.float32(quantisation) / (stored.astype(np.float32) - np.float32(offset))
+    return np.where(stored == 0, np.float32(np.nan), depth)
+
+
+def _picture(data: npt.NDArray[np.uint8], what: str) -> npt.NDArray[Any]:
     if _is_cut_png(data):
         raise ImageDataError(f"{what} can't be decoded: it ends within a chunk")
     flags = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR | cv2.IMREAD_IGNORE_ORIENTATION
@@ -265,9 +357,13 @@ def _decoded(message: CompressedImage | CompressedImageView) -> npt.NDArray[Any]
     return image
 
 
+def _is_png(data: npt.NDArray[np.uint8]) -> bool:
+    return data[: len(_PNG_SIGNATURE)].tobytes() == _PNG_SIGNATURE
+
+
 def _is_cut_png(data: npt.NDArray[np.uint8]) -> bool:
     """Whether a PNG states more data than it has: OpenCV takes memory for all it states."""
-    if data[: len(_PNG_SIGNATURE)].tobytes() != _PNG_SIGNATURE:
+    if not _is_png(data):
         return False
     position = len(_PNG_SIGNATURE)
     while position < data.size:

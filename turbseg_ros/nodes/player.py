@@ -22,7 +22,8 @@ from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 
 from turbseg_ros.bag.errors import BagError, printable
-from turbseg_ros.bag.reader import BagReader, Record, Topic
+from turbseg_ros.bag.reader import BagReader
+from turbseg_ros.bag.records import Record, Topic
 from turbseg_ros.bag.schema import message_class
 from turbseg_ros.bag.stamps import header_stamp, restamped
 
@@ -30,6 +31,9 @@ _CLOCK_TOPIC = "/clock"
 _CLOCK_PERIOD = 0.01  # seconds
 # Messages kept for a subscriber that is slow to acknowledge them.
 _DEPTH = 50
+_DAY = 86400 * 10**9  # nanoseconds
+# A message at time 0, which is "not set", lies decades before the others.
+_MAX_GAP = _DAY
 # Python answers signals between waits, so none is longer, in seconds.
 _MAX_WAIT = 0.1
 # Time from the end of a bag to its next round when no topic's messages tell any, in nanoseconds.
@@ -187,6 +191,7 @@ class Player(Node):  # type: ignore[misc]  # rclpy is read as untyped
                 if not count:
                     self._start_time(record.stamp_ns)
                 extent.add(record, self._kinds[record.topic])
+            self._skip_gap(record.stamp_ns + self._shift)
             lateness = max(lateness, self._spin_until(record.stamp_ns + self._shift))
             self._publish(record)
             count += 1
@@ -237,6 +242,15 @@ class Player(Node):  # type: ignore[misc]  # rclpy is read as untyped
         self._timeline.set(stamp_ns)
         if self._clock_source is not None:
             self._clock_source.start()
+
+    def _skip_gap(self, stamp_ns: int) -> None:
+        """Go on at once where nothing is recorded for longer than anybody waits."""
+        gap = stamp_ns - self._timeline.stamp_ns()
+        if gap > _MAX_GAP:
+            self.get_logger().warning(
+                f"nothing is recorded for {gap / _DAY:.1f} days; the time between is left out"
+            )
+            self._timeline.set(stamp_ns)
 
     def _spin_until(self, stamp_ns: int) -> float:
         """Wait for a time of the bag; return by how many seconds it has passed."""

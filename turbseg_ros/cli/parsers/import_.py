@@ -24,7 +24,8 @@ def build_parser() -> argparse.ArgumentParser:
         "source",
         type=Path,
         metavar="SRC",
-        help="video, folder of frames, or folder of a sequence with frames/ and masks/ in it; "
+        help="video, TIFF of many pages, folder of frames, or folder of a sequence with frames/ "
+        "and masks/ in it; "
         "masks are found too in a tree beside that of the frames, as DAVIS has it: "
         "JPEGImages/480p/NAME and Annotations/480p/NAME",
     )
@@ -34,7 +35,8 @@ def build_parser() -> argparse.ArgumentParser:
         "--rate",
         type=positive_number,
         metavar="HZ",
-        help=f"frame rate (default: the video's own; {FOLDER_RATE:g} for folders)",
+        help="evenly spaced frames at this rate (default: the video's own stamps; for folders "
+        f"{FOLDER_RATE:g}, or times that the files are named by)",
     )
     parser.add_argument("--topic", default=IMAGE_TOPIC, help="default: %(default)s")
     return parser
