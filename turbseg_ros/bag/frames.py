@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import logging
 from collections import deque
-from collections.abc import Generator, Iterable, Iterator
+from collections.abc import Generator, Hashable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar, cast
 
 from turbseg_ros.bag.reader import BagReader, Record
 from turbseg_ros.bag.schema import message_class
 from turbseg_ros.messages.images import ImageConversionError, frame_from_serialised
+from turbseg_ros.messages.stream_monitor import Action, StreamMonitor
 from turbseg_ros.segmentation.frame import Frame
 from turbseg_ros.throttle import ThrottledLogger
 
@@ -23,8 +24,11 @@ _END = object()
 class BagFrames:
     """The frames of a bag's image topic, in the order they were recorded.
 
-    An image that can't be read as one is warned about, throttled by kind, counted in `skipped` and
-    left out; `lost` counts those that the bag states and that its damaged parts no longer give.
+    As the node does with what arrives: where stamps say nothing, frames count as taken when they
+    were recorded, and one after a jump in time or a long gap begins a new stream. An image that
+    can't be read as one, comes twice or late is warned about, throttled by kind, counted in
+    `skipped` and left out; `lost` counts those that the bag states and that its damaged parts no
+    longer give.
     """
 
     def __init__(self, reader: BagReader, image_topic: str) -> None:
@@ -42,21 +46,34 @@ class BagFrames:
     def __iter__(self) -> Iterator[Frame]:
         self.skipped = 0
         self.lost = len(self)
+        monitor = StreamMonitor()
         for number, record in enumerate(self._reader.messages([self._topic])):
             self.lost -= 1
-            frame = self._frame(number, record)
+            frame = self._frame(number, record, monitor)
             if frame is not None:
                 yield frame
 
-    def _frame(self, number: int, record: Record) -> Frame | None:
+    def _frame(self, number: int, record: Record, monitor: StreamMonitor) -> Frame | None:
         try:
-            return frame_from_serialised(memoryview(record.data), self._kind)
+            frame = frame_from_serialised(memoryview(record.data), self._kind)
         except ImageConversionError as error:
-            self.skipped += 1
-            self._throttled.warning(
-                type(error).__name__, f"image {number} of {self._topic} skipped: {error}"
-            )
+            self._skip(number, type(error).__name__, str(error))
             return None
+        verdict = monitor.judge(frame, record.stamp_ns)
+        if verdict.notice:
+            _LOGGER.warning("%s: %s", self._topic, verdict.notice)
+        if verdict.action is Action.SKIP:
+            self._skip(number, verdict.continuity, verdict.reason)
+            return None
+        if verdict.action is Action.RESTART:
+            self._throttled.info(
+                verdict.continuity, f"image {number}: new window: {verdict.reason}"
+            )
+        return verdict.frame
+
+    def _skip(self, number: int, kind: Hashable, reason: str) -> None:
+        self.skipped += 1
+        self._throttled.warning(kind, f"image {number} of {self._topic} skipped: {reason}")
 
 
 def ahead(items: Iterable[T], depth: int = 2) -> Generator[T, None, None]:
