@@ -1,13 +1,16 @@
 """Judging whether a frame goes on where the one before it stopped."""
 
+import itertools
+
 import numpy as np
 import pytest
 
-from turbseg_ros.messages.stream_monitor import Action, StreamMonitor
+from turbseg_ros.messages.stream_monitor import Action, StreamMonitor, stamps_tell
 from turbseg_ros.segmentation.frame import Frame
 
 MS = 1_000_000
 PERIOD = 40 * MS
+EPOCH = 1_700_000_000 * 10**9
 
 
 def frame(stamp, size=(8, 8), dtype=np.uint8):
@@ -77,3 +80,110 @@ def test_takes_a_slow_camera_for_steady():
 def test_waits_a_second_at_least_for_the_next_frame(monitor):
     assert StreamMonitor().patience == 1.0
     assert monitor.patience == 1.0
+
+
+def stream(monitor, stamps, arrivals, pictures=None):
+    """Return the verdicts on frames, each with a picture of its own where none are given."""
+    verdicts = []
+    for number, (stamp, arrival) in enumerate(zip(stamps, arrivals, strict=True)):
+        picture = number % 250 if pictures is None else pictures[number]
+        judged = Frame(stamp, np.full((8, 8), picture, np.uint8))
+        verdicts.append(monitor.judge(judged, arrival, received=EPOCH + arrival))
+    return verdicts
+
+
+@pytest.mark.parametrize("hz", [0.2, 0.8, 5.0, 30.0, 240.0])
+@pytest.mark.parametrize("origin", [3 * 10**9, EPOCH])
+def test_any_rate_is_one_stream(hz, origin):
+    monitor = StreamMonitor()
+    times = [round(number * 1e9 / hz) for number in range(40)]
+    verdicts = stream(monitor, [origin + time for time in times], times)
+    assert {verdict.action for verdict in verdicts} == {Action.CONTINUE}
+    assert [verdict.frame.stamp for verdict in verdicts] == [origin + time for time in times]
+    assert verdicts[-1].frame.period == pytest.approx(1 / hz)
+    assert monitor.patience == pytest.approx(min(max(1.0, 10 / hz), 60.0))
+
+
+@pytest.mark.parametrize("hz", [0.2, 0.8, 30.0, 240.0])
+@pytest.mark.parametrize("constant", [0, 77, EPOCH])
+def test_stamps_that_stand_still_give_way_to_arrival(hz, constant):
+    times = [round(number * 1e9 / hz) for number in range(40)]
+    verdicts = stream(StreamMonitor(), [constant] * 40, times)
+    assert {verdict.action for verdict in verdicts} == {Action.CONTINUE}
+    stamps = [verdict.frame.stamp for verdict in verdicts]
+    assert stamps[4:] == [EPOCH + time for time in times[4:]]
+    assert verdicts[-1].frame.period == pytest.approx(1 / hz)
+    assert sum(bool(verdict.notice) for verdict in verdicts) == 1
+    if constant != 77:
+        # Else the first ones count from the stamp on, until it is known to stand still.
+        assert all(later > earlier for earlier, later in itertools.pairwise(stamps))
+
+
+def test_stamps_in_whole_seconds_give_way_to_arrival():
+    times = [number * PERIOD for number in range(100)]
+    stamps = [EPOCH + time // 10**9 * 10**9 for time in times]
+    verdicts = stream(StreamMonitor(), stamps, times)
+    assert {verdict.action for verdict in verdicts} == {Action.CONTINUE}
+    assert [verdict.frame.stamp for verdict in verdicts[5:]] == [EPOCH + t for t in times[5:]]
+
+
+def test_stamps_that_jump_about_give_way_to_arrival():
+    rng = np.random.default_rng(3)
+    times = [number * PERIOD for number in range(100)]
+    stamps = [EPOCH + time + int(rng.integers(-2 * PERIOD, 2 * PERIOD)) for time in times]
+    verdicts = stream(StreamMonitor(), stamps, times)
+    assert all(verdict.action is Action.CONTINUE for verdict in verdicts[20:])
+    assert sum(verdict.action is Action.SKIP for verdict in verdicts) <= 3
+
+
+def test_a_still_picture_without_stamps_is_answered_after_a_second_at_most():
+    times = [number * PERIOD for number in range(100)]
+    verdicts = stream(StreamMonitor(), [0] * 100, times, pictures=[5] * 100)
+    assert all(verdict.action is Action.CONTINUE for verdict in verdicts[26:])
+
+
+def test_a_message_that_comes_twice_is_skipped_and_nothing_is_said():
+    times = [number * PERIOD for number in range(40)]
+    twice = [time for time in times for _ in range(2)]
+    pictures = [number // 2 for number in range(80)]
+    verdicts = stream(StreamMonitor(), [EPOCH + time for time in twice], twice, pictures)
+    assert [verdict.action for verdict in verdicts] == [Action.CONTINUE, Action.SKIP] * 40
+    assert not any(verdict.notice for verdict in verdicts)
+
+
+def test_one_stamp_that_repeats_costs_no_frame_and_no_belief(monitor):
+    repeated = Frame(1000 * MS, np.full((8, 8), 9, np.uint8))
+    verdict = monitor.judge(repeated, 26 * PERIOD)
+    assert verdict.action is Action.CONTINUE
+    assert verdict.frame.stamp == 1040 * MS
+    after = monitor.judge(frame(1080 * MS), 27 * PERIOD)
+    assert (after.action, after.frame.stamp) == (Action.CONTINUE, 1080 * MS)
+
+
+def test_stamps_that_are_sound_again_are_believed_again():
+    times = [number * PERIOD for number in range(60)]
+    stamps = [0] * 20 + [7 * 10**9 + time for time in times[20:]]
+    verdicts = stream(StreamMonitor(), stamps, times)
+    assert {verdict.action for verdict in verdicts} == {Action.CONTINUE}
+    assert [verdict.frame.stamp for verdict in verdicts[40:]] == stamps[40:]
+
+
+def test_a_stream_that_becomes_slow_restarts_a_few_times_only(monitor):
+    arrivals = [25 * PERIOD + number * 1_250 * MS for number in range(1, 12)]
+    actions = [monitor.judge(frame(arrival), arrival).action for arrival in arrivals]
+    assert Action.RESTART in actions[:3]
+    assert set(actions[3:]) == {Action.CONTINUE}
+
+
+def test_a_long_pause_does_not_make_the_monitor_patient(monitor):
+    later = 25 * PERIOD + 40 * 10**9
+    assert monitor.judge(frame(later), later).frame.begins_stream
+    assert monitor.patience == 1.0
+
+
+@pytest.mark.parametrize(
+    ("stamps", "tell"),
+    [([], True), ([5], True), ([1, 2, 3], True), ([0, 0, 0], False), ([7, 7, 8, 8, 8], False)],
+)
+def test_stamps_tell_messages_apart_where_most_differ(stamps, tell):
+    assert stamps_tell(stamps) is tell

@@ -6,12 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from turbseg_ros.nodes.operator_log import (
     COMPRESSED_TYPE,
     IMAGE_TYPE,
     InputWatch,
     ObjectLog,
+    incompatible_text,
     mismatch_text,
     missing_image_text,
 )
@@ -133,3 +135,68 @@ def test_the_other_transport_is_named() -> None:
     assert text.endswith("-r image_raw:=/cam/image_raw -p image_transport:=compressed")
     assert mismatch_text(topic, COMPRESSED_TYPE, [COMPRESSED_TYPE, IMAGE_TYPE]) == ""
     assert mismatch_text(topic, IMAGE_TYPE, []) == ""
+
+
+def qos(reliable: bool = True, latched: bool = False) -> QoSProfile:
+    return QoSProfile(
+        depth=1,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=(DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE),
+    )
+
+
+@pytest.mark.parametrize(
+    ("asked", "offered", "forced", "told"),
+    [
+        (qos(), [], False, ""),
+        (qos(), [qos(latched=True)], False, ""),
+        (qos(), [qos(reliable=False), qos()], True, ""),
+        (qos(), [qos(reliable=False)], True, "-p qos.reliability:=auto takes it"),
+        (
+            qos(),
+            [qos(reliable=False)],
+            False,
+            "-p qos_overrides./a.subscription.reliability:=best_effort takes it",
+        ),
+    ],
+)
+def test_what_is_asked_for_and_not_offered_is_named(
+    asked: QoSProfile, offered: list[QoSProfile], forced: bool, told: str
+) -> None:
+    text = incompatible_text("/a", asked, offered, forced)
+    assert text.endswith(told)
+    assert bool(text) == bool(told)
+    if told:
+        published = {"/a": [IMAGE_TYPE]}
+        assert missing_image_text("/a", IMAGE_TYPE, "reliable", published, text) == text
+
+
+def test_a_misspelt_topic_is_answered_by_the_one_most_like_it() -> None:
+    published = {"/a/image_raw": [IMAGE_TYPE], "/camera_1/imge": [IMAGE_TYPE]}
+    text = missing_image_text("/camera_1/image", IMAGE_TYPE, "reliable", published)
+    assert text.endswith("-r image_raw:=/camera_1/imge -p image_transport:=raw takes it")
+
+
+@pytest.mark.parametrize(
+    ("topic", "wanted", "carried", "arguments"),
+    [
+        # Not below a raw topic: the compressed topic itself is remapped.
+        (
+            "/c/image_raw",
+            IMAGE_TYPE,
+            COMPRESSED_TYPE,
+            "-r image_raw/compressed:=/c/image_raw -p image_transport:=compressed",
+        ),
+        (
+            "/c/image_raw/compressed",
+            COMPRESSED_TYPE,
+            IMAGE_TYPE,
+            "-r image_raw:=/c/image_raw/compressed -p image_transport:=raw",
+        ),
+    ],
+)
+def test_a_type_where_the_other_is_expected_is_taken_by_its_transport(
+    topic: str, wanted: str, carried: str, arguments: str
+) -> None:
+    text = mismatch_text(topic, wanted, [carried])
+    assert text == f"{topic} carries {carried}, not {wanted}; take it with {arguments}"

@@ -13,6 +13,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_srvs.srv import SetBool, Trigger
@@ -344,6 +345,71 @@ def test_markers_lie_on_the_unit_depth_plane_once_the_camera_is_known(node, prob
     balls = newest_balls()
     assert {ball.pose.position.z for ball in balls} == {1.0}
     assert all(abs(ball.pose.position.x) <= 0.08 for ball in balls)
+
+
+def shown_ids(messages):
+    """Return which markers a viewer shows after these messages."""
+    shown = set()
+    for marker in (marker for message in messages for marker in message.markers):
+        key = marker.ns, marker.id
+        shown = shown | {key} if marker.action == Marker.ADD else shown - {key}
+    return shown
+
+
+@pytest.mark.parametrize("end", ["pause", "disable", "stop"])
+def test_markers_are_deleted_when_no_more_images_come(tmp_path, probe, end):
+    with NodeProcess(tmp_path / "output", *ARGUMENTS, "-r", "__ns:=/ends") as process:
+        centroids = probe.listen("/ends/turbseg/centroids", MarkerArray)
+        annotations = probe.listen("/ends/turbseg/annotations", ImageMarker)
+        camera = Camera(probe, "/ends/image_raw", rate=30.0)
+        images = moving_square(1000)
+        probe.wait_for(lambda: camera.play([next(images)]) and shown_ids(centroids), "markers")
+        assert all(
+            marker.lifetime.sec >= 1
+            for message in centroids
+            for marker in message.markers
+            if marker.action == Marker.ADD
+        )
+        if end == "disable":
+            request = SetBool.Request(data=False)
+            assert probe.call("/ends/turbseg/enable", SetBool, request).success
+        elif end == "stop":
+            process.process.send_signal(signal.SIGINT)
+        probe.wait_for(lambda: not shown_ids(centroids), "deletion")
+        probe.wait_for(
+            lambda: annotations and annotations[-1].action == ImageMarker.REMOVE, "removal"
+        )
+        if end != "stop":
+            process.process.send_signal(signal.SIGINT)
+        assert process.wait() == 0, process.output
+        assert "Traceback" not in process.output
+
+
+@pytest.mark.parametrize("latched", [True, False])
+def test_camera_info_is_heard_when_it_is_latched_and_when_it_is_not(tmp_path, probe, latched):
+    info = CameraInfo(width=320, height=240, k=[2e3, 0.0, 160.0, 0.0, 2e3, 120.0, 0.0, 0.0, 1.0])
+    qos = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL) if latched else 1
+    infos = probe.advertise("/late/camera_info", CameraInfo, qos, heard=False)
+    infos.publish(info)
+    with NodeProcess(tmp_path / "output", *ARGUMENTS, "-r", "__ns:=/late") as process:
+        centroids = probe.listen("/late/turbseg/centroids", MarkerArray)
+        camera = Camera(probe, "/late/image_raw", rate=30.0)
+        images = moving_square(1000)
+
+        def balls():
+            if not latched:
+                infos.publish(info)
+            camera.play([next(images)])
+            markers = [marker for message in centroids[-3:] for marker in message.markers]
+            return [marker for marker in markers if marker.ns == "centroid" and marker.scale.x]
+
+        probe.wait_for(
+            lambda: any(ball.pose.position.z == 1.0 for ball in balls()), "the unit depth"
+        )
+        # Those of half the sensor's resolution.
+        assert all(abs(ball.pose.position.x) <= 0.08 for ball in balls())
+        assert process.stop(signal.SIGINT) == 0, process.output
+        assert "incompatible" not in process.output.lower()
 
 
 def test_namespace_remapping_compressed_images_and_the_clock(tmp_path, probe):

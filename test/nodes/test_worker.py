@@ -85,6 +85,8 @@ class Harness:
         self.statistics = Statistics()
         self.logger = RecordingLogger()
         self.results = []
+        # How many results were published before each pause.
+        self.pauses = []
         self.publish = self.results.append
         self.worker = SegmentationWorker(
             self.segmenter,
@@ -94,6 +96,7 @@ class Harness:
             statistics=self.statistics,
             logger=self.logger,
             queue_size=queue_size,
+            on_pause=lambda: self.pauses.append(len(self.results)),
         )
         self.worker.start()
 
@@ -350,3 +353,57 @@ def test_images_that_were_dropped_are_no_pause():
     harness.finish()
     assert harness.totals()[Event.DROPPED] > 30
     assert not any("new window" in line for line in harness.logger.lines)
+
+
+def wait_for_pauses(harness, count):
+    deadline = time.monotonic() + TIMEOUT
+    while len(harness.pauses) < count and time.monotonic() < deadline:
+        time.sleep(0.01)
+    return harness.pauses
+
+
+def test_a_pause_is_told_once_after_all_results(harness):
+    harness.submit(*stamps(5))
+    assert wait_for_pauses(harness, 1) == [5]
+    harness.submit(*stamps(5, 5 * PERIOD))
+    assert wait_for_pauses(harness, 2) == [5, 10]
+
+
+def test_a_stream_that_is_said_to_end_pauses_once_what_waits_is_answered():
+    harness = Harness()
+    harness.segmenter.gate.clear()
+    harness.submit(0)
+    while not harness.segmenter.waiting:
+        time.sleep(0.001)
+    harness.submit(*stamps(6, PERIOD))
+    harness.worker.end_stream()
+    assert harness.pauses == []
+    harness.segmenter.gate.set()
+    assert wait_for_pauses(harness, 1) == [7]
+    harness.worker.stop()
+    assert harness.pauses == [7, 7]
+
+
+def test_stopping_is_a_pause(harness):
+    harness.submit(*stamps(3))
+    harness.finish()
+    assert harness.pauses[0] == 3
+
+
+def test_images_whose_stamps_are_not_set_are_all_answered_and_told_once(harness):
+    number = iter(range(1, 1000))
+
+    def frame(_message):
+        return Frame(0, np.full((4, 6), next(number), np.uint8))
+
+    times = iter(range(10**18, 10**18 + 1000 * PERIOD, PERIOD))
+    harness.worker._convert = frame
+    harness.worker._now = lambda: next(times)
+    harness.submit(*range(30))
+    harness.settle()
+    harness.worker._now = lambda: 0
+    harness.finish()
+    assert len(harness.answered) == 30
+    assert harness.answered[0] == 10**18
+    assert len({*harness.answered}) == 30
+    assert sum("stamps say nothing" in line for line in harness.logger.lines) == 1

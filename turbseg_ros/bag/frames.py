@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import logging
 from collections import deque
-from collections.abc import Generator, Iterable, Iterator
+from collections.abc import Generator, Hashable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar, cast
 
@@ -13,6 +13,7 @@ from turbseg_ros.bag.errors import BagError
 from turbseg_ros.bag.reader import BagReader
 from turbseg_ros.bag.schema import message_class
 from turbseg_ros.messages.images import ImageConversionError, frame_from_serialised
+from turbseg_ros.messages.stream_monitor import Action, StreamMonitor
 from turbseg_ros.messages.video import (
     VIDEO_TRANSPORTS,
     VideoDecoder,
@@ -31,9 +32,11 @@ _END = object()
 class BagFrames:
     """The frames of a bag's image topic, in the order they were recorded.
 
-    Video packets are decoded where PyAV is installed. An image that can't be read as one is warned
-    about, throttled by kind, counted in `skipped` and left out; so are packets that give no frame.
-    `lost` counts those that the bag states and that its damaged parts no longer give.
+    As the node does with what arrives: where stamps say nothing, frames count as taken when they
+    were recorded, and one after a jump in time or a long gap begins a new stream. Video packets
+    are decoded where PyAV is installed. An image that can't be read as one, comes twice or late is
+    warned about, throttled by kind, counted in `skipped` and left out; so are packets that give no
+    frame. `lost` counts those that the bag states and that its damaged parts no longer give.
 
     :raises BagError: when they are video packets and PyAV is missing; also when iterated over.
     """
@@ -56,21 +59,46 @@ class BagFrames:
     def __iter__(self) -> Iterator[Frame]:
         self.skipped = 0
         self.lost = len(self)
+        monitor = StreamMonitor()
+        for number, recorded, frame in self._read():
+            verdict = monitor.judge(frame, recorded)
+            if verdict.notice:
+                _LOGGER.warning("%s: %s", self._topic, verdict.notice)
+            if verdict.action is Action.SKIP:
+                self._warn(number, verdict.continuity, verdict.reason)
+                continue
+            if verdict.action is Action.RESTART:
+                self._throttled.info(
+                    verdict.continuity, f"image {number}: new window: {verdict.reason}"
+                )
+            self.skipped -= 1
+            yield verdict.frame
+
+    def _read(self) -> Iterator[tuple[int, int, Frame]]:
+        """Yield each frame that can be read, its record's number, and when that was recorded.
+
+        Every record counts as skipped until its frame is passed on.
+        """
         decoder: VideoDecoder | None = None
+        recorded = 0
         for number, record in enumerate(self._reader.messages([self._topic])):
             self.lost -= 1
             self.skipped += 1
+            recorded = record.stamp_ns
             with self._told(number):
                 packet = video_packet(memoryview(record.data), self._type)
                 if packet is None:
                     assert self._kind is not None  # or all would be packets
-                    yield self._counted(frame_from_serialised(memoryview(record.data), self._kind))
+                    image = memoryview(record.data)
+                    yield number, recorded, frame_from_serialised(image, self._kind)
                     continue
                 decoder = decoder or self._video_decoder()
-                yield from map(self._counted, decoder.decode(packet))
+                for frame in decoder.decode(packet):
+                    yield number, recorded, frame
         if decoder is not None:
             with self._told(len(self)):
-                yield from map(self._counted, decoder.flush())
+                for frame in decoder.flush():
+                    yield len(self), recorded, frame
 
     def _video_decoder(self) -> VideoDecoder:
         try:
@@ -78,19 +106,16 @@ class BagFrames:
         except ImportError as error:
             raise BagError(how_to_read_video(self._topic, self._type)) from error
 
-    def _counted(self, frame: Frame) -> Frame:
-        self.skipped -= 1
-        return frame
-
     @contextlib.contextmanager
     def _told(self, number: int) -> Iterator[None]:
         """Warn of an image that can't be read."""
         try:
             yield
         except ImageConversionError as error:
-            self._throttled.warning(
-                type(error).__name__, f"image {number} of {self._topic} skipped: {error}"
-            )
+            self._warn(number, type(error).__name__, str(error))
+
+    def _warn(self, number: int, kind: Hashable, reason: str) -> None:
+        self._throttled.warning(kind, f"image {number} of {self._topic} skipped: {reason}")
 
 
 def ahead(items: Iterable[T], depth: int = 2) -> Generator[T, None, None]:

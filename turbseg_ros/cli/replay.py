@@ -35,7 +35,7 @@ _LOGGER = logging.getLogger(__name__)
 
 
 class ResultWriter:
-    """Writes results to the node's topics in a bag, at the stamps of their frames.
+    """Writes results to the node's topics in a bag, at the times at which images were recorded.
 
     A slot has its topic from the first object on that holds it, with a mask for each frame. An
     output that fails is warned about, throttled, and counted in `failed` under its name; the
@@ -57,8 +57,9 @@ class ResultWriter:
         for moving_object in result.objects:
             if moving_object.slot >= 0 and moving_object.slot not in self._slots:
                 self._slots[moving_object.slot] = slot_output(moving_object.slot)
+        frame = result.frame
         # A camera's clock may be set before the epoch, a bag's time can't.
-        recorded_at = max(result.frame.stamp, 0)
+        recorded_at = max(frame.stamp if frame.received is None else frame.received, 0)
         for output in (*self._outputs, *self._slots.values()):
             self._write(output, result, recorded_at)
 

@@ -154,7 +154,7 @@ def _warp_bag(options: argparse.Namespace, stop: StopRequest) -> None:
                     turbulence = Turbulence.typical(tilt, image.shape[1])
                     shape = image.shape[0], image.shape[1]
                     warper = ClipWarper(shape, turbulence, seed)
-                seen, labels = warper.distort(image, truth.at(stamp))
+                seen, labels = warper.distort(image, truth.at(stamp, record.stamp_ns))
             except (ImageConversionError, ValueError) as error:
                 raise BagError(f"{source}: image {count} on {topic}: {error}") from error
             picture = message_from_image(seen, encoding_of(seen), stamp, frame_id)

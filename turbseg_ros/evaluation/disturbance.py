@@ -119,13 +119,13 @@ class DisturbedClip:
             height, width = frame.image.shape[:2]
             if distorter is None:
                 distorter = self._disturbance.distorter((height, width), self._count)
-            labels = self._source_truth.at(frame.stamp)
+            labels = self._source_truth.at(frame.stamp, frame.received, frame.period)
             try:
                 image, seen_labels = distorter.distort(frame.image, labels)
             except ValueError as error:
                 raise DisturbanceError(str(error)) from error
             if seen_labels is not None:
-                self.truth.add(StampedLabels(frame.stamp, seen_labels))
+                self.truth.add(StampedLabels(frame.stamp, seen_labels, frame.received))
             yield replace(frame, image=image)
 
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import bisect
+import itertools
+import statistics
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
@@ -17,15 +20,27 @@ from turbseg_ros.messages.images import (
     image_from_message,
     stamp_to_ns,
 )
+from turbseg_ros.messages.stream_monitor import stamps_tell
 from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResult
+
+_Compressed = npt.NDArray[np.uint8]
+
+# Stamps that lie so far from others are of another clock. Nanoseconds.
+_CLOCK_DIFFERENCE = 60 * 10**9
+# What was recorded so far apart does not belong together, though frames be rare. Nanoseconds.
+_MAX_TOLERANCE = 20 * 10**6
 
 
 @dataclass(frozen=True)
 class StampedLabels:
-    """A label image and the stamp, in nanoseconds, of the frame that it belongs to."""
+    """A label image, the stamp of the frame that it belongs to, and when it was recorded.
+
+    Both times are in nanoseconds; the second is None where it was not recorded.
+    """
 
     stamp: int
     labels: Labels
+    recorded: int | None = None
 
 
 def read_labels(reader: BagReader, topic: str) -> Iterator[StampedLabels]:
@@ -47,33 +62,97 @@ def read_labels(reader: BagReader, topic: str) -> Iterator[StampedLabels]:
             raise BagError(f"{reader.path}: {topic}: {error}") from error
         if labels.ndim != 2 or not np.issubdtype(labels.dtype, np.integer):
             raise BagError(f"{reader.path}: {topic} holds {message.encoding} images, no labels")
-        yield StampedLabels(stamp_to_ns(message.header.stamp), labels)
+        yield StampedLabels(stamp_to_ns(message.header.stamp), labels, record.stamp_ns)
 
 
 class LabelsByStamp:
-    """Label images by the stamp of their frame.
+    """Label images by the stamp of their frame, or by their own time where stamps say nothing.
 
     They are held compressed, for those of a long high-resolution bag don't fit into memory.
     """
 
     def __init__(self, items: Iterable[StampedLabels] = ()) -> None:
-        self._compressed: dict[int, npt.NDArray[np.uint8]] = {}
+        self._by_stamp: dict[int, _Compressed] = {}
+        self._by_time: dict[int, _Compressed] = {}
+        self._stamps: list[int] = []
+        self._times: list[int] = []
         for item in items:
             self.add(item)
 
     def __len__(self) -> int:
-        return len(self._compressed)
+        return len(self._by_stamp) if self.stamps_tell else len(self._by_time)
+
+    @property
+    def stamps_tell(self) -> bool:
+        """Whether stamps tell them apart, or nothing else does."""
+        return stamps_tell(self._stamps) or not self._by_time
 
     def add(self, item: StampedLabels) -> None:
-        """Take one more label image; of two with the same stamp the later counts."""
-        self._compressed[item.stamp] = _compressed(item.labels)
+        """Take one more label image; of two with the same time the later counts."""
+        compressed = _compressed(item.labels)
+        self._by_stamp[item.stamp] = compressed
+        self._stamps.append(item.stamp)
+        if item.recorded is not None:
+            self._by_time[item.recorded] = compressed
+            bisect.insort(self._times, item.recorded)
 
-    def at(self, stamp: int) -> Labels | None:
-        """Return the labels of the frame with this stamp, None when there are none."""
-        compressed = self._compressed.get(stamp)
-        if compressed is None:
+    def at(
+        self,
+        stamp: int,
+        recorded: int | None = None,
+        period: float | None = None,
+        same_recording: bool = True,
+    ) -> Labels | None:
+        """Return the labels of the frame with this stamp, None when there are none.
+
+        Where stamps say nothing, or frame and labels have theirs of different clocks, it is the
+        labels that were recorded with the frame.
+
+        :param recorded: when the frame was recorded, in nanoseconds.
+        :param period: seconds from one frame to the next.
+        :param same_recording: whether the labels were recorded with the frame, or with what was
+            made of it later; then a stamp may be the time at which the frame was recorded.
+        """
+        found = self._by_stamp.get(stamp) if self.stamps_tell else None
+        if found is None and self._times and recorded is not None:
+            found = self._recorded_with(stamp, recorded, period, same_recording)
+        return None if found is None else _uncompressed(found)
+
+    def in_order(self) -> Iterator[Labels]:
+        """Yield the labels in the order in which they were recorded."""
+        items = self._by_stamp if self.stamps_tell else self._by_time
+        yield from (_uncompressed(items[time]) for time in sorted(items))
+
+    def _recorded_with(
+        self, stamp: int, recorded: int, period: float | None, same_recording: bool
+    ) -> _Compressed | None:
+        if not self.stamps_tell:
+            times = (recorded,) if same_recording else (stamp, recorded)
+        elif (same_recording and recorded in self._by_time) or not self._same_clock(stamp):
+            times = (recorded,)
+        else:
+            # A frame without labels.
             return None
-        return np.asarray(cv2.imdecode(compressed, cv2.IMREAD_UNCHANGED))
+        near = (self._nearest(time, period) for time in times)
+        return next((found for found in near if found is not None), None)
+
+    def _same_clock(self, stamp: int) -> bool:
+        first, last = min(self._stamps), max(self._stamps)
+        return first - _CLOCK_DIFFERENCE <= stamp <= last + _CLOCK_DIFFERENCE
+
+    def _nearest(self, time: int, period: float | None) -> _Compressed | None:
+        """Return what was recorded at a time, give or take half a period."""
+        index = bisect.bisect(self._times, time)
+        neighbours = self._times[max(index - 1, 0) : index + 1]
+        nearest = min(neighbours, key=lambda each: abs(each - time))
+        if abs(nearest - time) > (0.5 * period * 1e9 if period else self._tolerance):
+            return None
+        return self._by_time[nearest]
+
+    @property
+    def _tolerance(self) -> float:
+        steps = [later - earlier for earlier, later in itertools.pairwise(self._times)]
+        return min(0.5 * statistics.median(steps or [0]), _MAX_TOLERANCE)
 
 
 def result_from_labels(frame: Frame, labels: Labels) -> SegmentationResult:
@@ -89,6 +168,10 @@ def result_from_labels(frame: Frame, labels: Labels) -> SegmentationResult:
     )
 
 
-def _compressed(labels: Labels) -> npt.NDArray[np.uint8]:
+def _compressed(labels: Labels) -> _Compressed:
     _, compressed = cv2.imencode(".png", labels, [cv2.IMWRITE_PNG_COMPRESSION, 1])
     return compressed
+
+
+def _uncompressed(compressed: _Compressed) -> Labels:
+    return np.asarray(cv2.imdecode(compressed, cv2.IMREAD_UNCHANGED))

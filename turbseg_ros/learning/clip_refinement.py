@@ -283,7 +283,9 @@ def _nearest(labels: Labels) -> Labels:
 
 
 def _with_mask(found: MovingObject, mask: Mask) -> MovingObject:
-    return MovingObject.from_mask(mask, found.id, found.slot, found.velocity, found.trail)
+    return MovingObject.from_mask(
+        mask, found.id, found.slot, found.velocity, found.trail, period=found.period
+    )
 
 
 def _padded(length: int) -> int:

@@ -8,25 +8,29 @@ from __future__ import annotations
 import functools
 import math
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Hashable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 import cv2
 import numpy as np
 import numpy.typing as npt
+from builtin_interfaces.msg import Duration
 from geometry_msgs.msg import Point, Vector3
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import ImageMarker, Marker, MarkerArray
 
 from turbseg_ros.messages.images import message_from_image, ns_to_stamp
+from turbseg_ros.messages.stream_monitor import patience_for
 from turbseg_ros.overlay import colour_of, draw_overlay, outlines
 from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResult
 from turbseg_ros.segmentation.tone import ToneMap
 
 # The velocity arrow ends where the object will be after so many frames.
 _ARROW_FRAMES = 10.0
+# Seconds that markers outlive a pause, so that it is the node that deletes them.
+_GRACE = 1.0
 # Outlines for viewers are let off corners that stand out less than this, in pixels.
 _OUTLINE_TOLERANCE = 0.5
 # Subscribers learn that they missed a message after some amount of data (images: at once), or by
@@ -40,6 +44,13 @@ _IMAGE_DEPTH = 30
 def header_of(frame: Frame) -> Header:
     """Return the header that all messages about a frame share."""
     return Header(stamp=ns_to_stamp(frame.stamp), frame_id=frame.frame_id)
+
+
+def _lifetime(frame: Frame) -> Duration:
+    """Return how long markers stay where nobody deletes them: as long as a stream may pause."""
+    seconds = patience_for(frame.period or 0.0) + _GRACE
+    whole, rest = divmod(round(seconds * 1e9), 10**9)
+    return Duration(sec=whole, nanosec=rest)
 
 
 def labels_message(result: SegmentationResult) -> Image:
@@ -99,6 +110,7 @@ def annotations_message(result: SegmentationResult) -> ImageMarker:
         type=ImageMarker.LINE_LIST,
         action=ImageMarker.ADD,
         scale=1.0,
+        lifetime=_lifetime(result.frame),
     )
     points: list[Point] = []
     colours: list[ColorRGBA] = []
@@ -115,6 +127,11 @@ def annotations_message(result: SegmentationResult) -> ImageMarker:
     marker.points = points
     marker.outline_colors = colours
     return marker
+
+
+def annotations_removal(frame: Frame) -> ImageMarker:
+    """Return what takes the outlines away when no more frames come after this one."""
+    return ImageMarker(header=header_of(frame), ns="outlines", action=ImageMarker.REMOVE)
 
 
 class MarkerPlane(Protocol):
@@ -143,36 +160,48 @@ class PixelPlane:
 class UnitDepthPlane:
     """The plane one metre before the camera, in its optical frame (z forward, REP 103).
 
-    `camera_matrix` is 3x3 and `distortion` OpenCV's coefficients, both of the full sensor;
-    an image pixel is `binning` sensor pixels and starts at `offset` (x, y) on the sensor.
+    `camera_matrix` is 3x3 and `distortion` OpenCV's coefficients, both of the full sensor, those
+    of its fisheye model where the camera is a `fisheye`; an image pixel is `binning` sensor
+    pixels and starts at `offset` (x, y) on the sensor.
     """
 
     camera_matrix: npt.NDArray[np.float64]
     distortion: npt.NDArray[np.float64]
     binning: tuple[float, float] = (1.0, 1.0)
     offset: tuple[float, float] = (0.0, 0.0)
+    fisheye: bool = False
 
     @classmethod
-    def from_camera_info(cls, camera_info: CameraInfo) -> UnitDepthPlane:
+    def from_camera_info(
+        cls, camera_info: CameraInfo, image_size: tuple[int, int] | None = None
+    ) -> UnitDepthPlane:
         """Take the calibration of a camera.
 
-        :raises ValueError: when it is not calibrated or its distortion model is not one of
-            plumb_bob and rational_polynomial.
+        Coefficients that are 0 may be too many or too few. An image of another size than
+        camera_info says is the same view scaled, or the whole sensor.
+
+        :param image_size: width and height of the images; by default, those that it says.
+        :raises ValueError: when it is not calibrated, its distortion is of another model or
+            number of coefficients than can be undone, or the image can't be the same view.
         """
         matrix = np.asarray(camera_info.k, dtype=np.float64).reshape(3, 3)
+        if not np.isfinite(matrix).all():
+            raise ValueError("camera_info holds no calibration (K is not finite)")
         if not (matrix[0, 0] > 0.0 and matrix[1, 1] > 0.0):
             raise ValueError("camera_info holds no calibration (K is zero)")
-        if camera_info.distortion_model not in ("", "plumb_bob", "rational_polynomial"):
+        model = camera_info.distortion_model
+        if model not in _MODELS:
             raise ValueError(
-                f"camera_info has distortion model {camera_info.distortion_model}; "
-                "markers take plumb_bob or rational_polynomial"
+                f"camera_info has distortion model {model[:100]}; "
+                "markers take plumb_bob, rational_polynomial or equidistant"
             )
+        binning, offset = _view(camera_info, image_size)
         return cls(
             camera_matrix=matrix,
-            distortion=np.asarray(camera_info.d, dtype=np.float64),
-            # 0 means the same as 1 in CameraInfo.
-            binning=(max(camera_info.binning_x, 1), max(camera_info.binning_y, 1)),
-            offset=(camera_info.roi.x_offset, camera_info.roi.y_offset),
+            distortion=_coefficients(camera_info),
+            binning=binning,
+            offset=offset,
+            fisheye=model in _FISHEYE_MODELS,
         )
 
     @property
@@ -181,12 +210,100 @@ class UnitDepthPlane:
         return self.binning[0] / float(self.camera_matrix[0, 0])
 
     def place(self, pixels: npt.ArrayLike) -> npt.NDArray[np.float64]:
-        """Return the Nx3 positions of Nx2 pixel positions (x, y)."""
-        on_sensor = np.asarray(pixels, dtype=np.float64) * self.binning + self.offset
-        rays = cv2.undistortPoints(
-            on_sensor.reshape(-1, 1, 2), self.camera_matrix, self.distortion
+        """Return the Nx3 positions of Nx2 pixel positions (x, y).
+
+        Where the distortion can't be undone, outside of the lens' picture, it is left out.
+        """
+        # Centres of pixels are at whole numbers, on the sensor as in the image.
+        binning = np.asarray(self.binning, dtype=np.float64)
+        on_sensor = np.asarray(pixels, dtype=np.float64) * binning + self.offset
+        undistort = cv2.fisheye.undistortPoints if self.fisheye else cv2.undistortPoints
+        rays = undistort(on_sensor.reshape(-1, 1, 2), self.camera_matrix, self.distortion)
+        focal_lengths, centre = self.camera_matrix[[0, 1], [0, 1]], self.camera_matrix[:2, 2]
+        straight = (on_sensor - centre) / focal_lengths
+        possible = (np.isfinite(rays[:, 0]) & (np.abs(rays[:, 0]) < _MAX_RAY)).all(
+            axis=1, keepdims=True
         )
-        return np.pad(rays[:, 0].astype(np.float64), ((0, 0), (0, 1)), constant_values=1.0)
+        placed = np.where(possible, rays[:, 0], straight)
+        return np.pad(placed, ((0, 0), (0, 1)), constant_values=1.0)
+
+
+_FISHEYE_MODELS = ("equidistant", "fisheye")
+_MODELS = ("", "plumb_bob", "rational_polynomial", *_FISHEYE_MODELS)
+# How many coefficients OpenCV takes; rational_polynomial goes on where plumb_bob ends.
+_COUNTS = (0, 4, 5, 8, 12, 14)
+_FISHEYE_COUNT = 4
+# Metres aside at one metre's distance: 89.9 degrees.
+_MAX_RAY = 600.0
+# Share by which the sides' proportions may differ in an image that is the same view, scaled.
+_MAX_STRETCH = 0.02
+
+
+def _coefficients(camera_info: CameraInfo) -> npt.NDArray[np.float64]:
+    """Return the distortion in a number of coefficients that OpenCV takes."""
+    given = np.asarray(camera_info.d, dtype=np.float64)
+    if not np.isfinite(given).all():
+        raise ValueError("camera_info holds coefficients that are not finite")
+    used = int(np.max(np.nonzero(given)[0], initial=-1)) + 1
+    model = camera_info.distortion_model
+    fisheye = model in _FISHEYE_MODELS
+    counts = (_FISHEYE_COUNT,) if fisheye else _COUNTS
+    if len(given) in counts:
+        return given
+    if not used and not fisheye:
+        return np.zeros(_COUNTS[1])
+    # What is 0 may be left out, but not put in: nobody knows what those there stand for.
+    fitting = [count for count in counts if 0 < used <= count <= len(given)]
+    if not fitting:
+        raise ValueError(
+            f"camera_info has {len(given)} coefficients, "
+            f"which are not those of {model or 'plumb_bob'}"
+        )
+    return given[: fitting[0]]
+
+
+def _view(
+    camera_info: CameraInfo, image_size: tuple[int, int] | None
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return how many sensor pixels an image's pixel is (x, y), and where it begins."""
+    # 0 means the same as 1 in CameraInfo.
+    binning = float(max(camera_info.binning_x, 1)), float(max(camera_info.binning_y, 1))
+    sensor = camera_info.width, camera_info.height
+    roi = camera_info.roi
+    offset = float(roi.x_offset), float(roi.y_offset)
+    # 0 stands for the whole sensor here, too.
+    part = roi.width or sensor[0], roi.height or sensor[1]
+    if image_size is None or not all(sensor):
+        return binning, offset
+    whole = (0.0, 0.0)
+    for view, pixel, begin in (
+        (part, binning, offset),
+        (sensor, (1.0, 1.0), whole),
+        (part, (1.0, 1.0), offset),
+        (sensor, binning, whole),
+    ):
+        sides = (int(side / each) for side, each in zip(view, pixel, strict=True))
+        if all(abs(a - b) <= 1 for a, b in zip(sides, image_size, strict=True)):
+            return pixel, begin
+    for view, begin in ((part, offset), (sensor, whole)):
+        scale = view[0] / image_size[0], view[1] / image_size[1]
+        if abs(scale[0] / scale[1] - 1.0) <= _MAX_STRETCH:
+            return scale, begin
+    raise ValueError(
+        f"camera_info is of {sensor[0]}x{sensor[1]} pixels, which {image_size[0]}x{image_size[1]} "
+        "of the images can't be, scaled or not"
+    )
+
+
+_NAMESPACES = ("centroid", "id", "velocity", "trail")
+
+
+def _deletions(header: Header, ids: Collection[int]) -> list[Marker]:
+    return [
+        Marker(header=header, ns=namespace, id=object_id, action=Marker.DELETE)
+        for object_id in sorted(ids)
+        for namespace in _NAMESPACES
+    ]
 
 
 class CentroidMarkers:
@@ -194,23 +311,70 @@ class CentroidMarkers:
 
     The object's id is the marker's id, and each kind has a namespace. Objects that were shown
     before and are gone are deleted, which is why an instance belongs to one stream of results.
+
+    :param on_misfit: told, once for each reason, why a camera's calibration is of no use.
     """
 
-    _NAMESPACES = ("centroid", "id", "velocity", "trail")
-
-    def __init__(self, plane: MarkerPlane | None = None) -> None:
+    def __init__(
+        self, plane: MarkerPlane | None = None, on_misfit: Callable[[str], None] = lambda _: None
+    ) -> None:
         self.plane: MarkerPlane = plane or PixelPlane()
+        self._on_misfit = on_misfit
+        self._told: set[str] = set()
         self._shown: frozenset[int] = frozenset()
+        self._camera_info: CameraInfo | None = None
+        # What the plane was made of, and for.
+        self._fitted: tuple[Hashable, ...] | None = None
+
+    def calibrate(self, camera_info: CameraInfo) -> None:
+        """Take a camera's calibration, which holds from the next result on; any thread may."""
+        self._camera_info = camera_info
+
+    def removal(self, frame: Frame) -> MarkerArray | None:
+        """Return what deletes all markers that are shown, None when none are.
+
+        :param frame: the last one.
+        """
+        if not self._shown:
+            return None
+        markers = _deletions(header_of(frame), self._shown)
+        self._shown = frozenset()
+        return MarkerArray(markers=markers)
+
+    def _fit_plane(self, image_shape: tuple[int, ...]) -> None:
+        info = self._camera_info
+        if info is None:
+            return
+        key = (
+            *image_shape,
+            *(info.width, info.height, info.binning_x, info.binning_y, info.distortion_model),
+            *(info.roi.x_offset, info.roi.y_offset, info.roi.width, info.roi.height),
+            *(np.asarray(info.k).tobytes(), np.asarray(info.d).tobytes()),
+        )
+        if key == self._fitted:
+            return
+        self._fitted = key
+        try:
+            plane = UnitDepthPlane.from_camera_info(info, (image_shape[1], image_shape[0]))
+            # What OpenCV makes of it shows when it is used.
+            plane.place([(0.0, 0.0)])
+        except (ValueError, cv2.error) as error:
+            self.plane = PixelPlane()
+            reason = str(error)
+            if reason not in self._told:
+                self._told.add(reason)
+                self._on_misfit(reason)
+        else:
+            self.plane = plane
 
     def message(self, result: SegmentationResult) -> MarkerArray:
         """Return the markers of the next result."""
-        brush = _MarkerBrush(header_of(result.frame), self.plane, result.labels.shape)
+        self._fit_plane(result.labels.shape)
+        brush = _MarkerBrush(
+            header_of(result.frame), self.plane, result.labels.shape, _lifetime(result.frame)
+        )
         present = frozenset(moving_object.id for moving_object in result.objects)
-        markers = [
-            brush.deletion(namespace, object_id)
-            for object_id in sorted(self._shown - present)
-            for namespace in self._NAMESPACES
-        ]
+        markers = _deletions(brush.header, self._shown - present)
         for moving_object in result.objects:
             markers += brush.markers(moving_object)
         self._shown = present
@@ -224,6 +388,7 @@ class _MarkerBrush:
     header: Header
     plane: MarkerPlane
     image_shape: tuple[int, ...]
+    lifetime: Duration
 
     def markers(self, moving_object: MovingObject) -> list[Marker]:
         (u, v), (du, dv) = moving_object.centroid, moving_object.velocity
@@ -238,15 +403,14 @@ class _MarkerBrush:
         text = self._marker("id", moving_object.id, Marker.TEXT_VIEW_FACING, (0.0, 0.0, 2 * size))
         text.pose.position = text_position
         text.text = str(moving_object.id)
+        if (velocity := moving_object.velocity_per_second) is not None:
+            text.text += f"\n{math.hypot(*velocity):.0f} px/s"
         arrow = self._marker("velocity", moving_object.id, Marker.ARROW, (size / 4, size / 2, 0.0))
         arrow.points = [centroid, tip]
         line = self._marker("trail", moving_object.id, Marker.LINE_STRIP, (size / 4, 0.0, 0.0))
         # A line needs two points; a new object's has no length.
         line.points = trail if len(trail) > 1 else [centroid, centroid]
         return [ball, text, arrow, line]
-
-    def deletion(self, namespace: str, object_id: int) -> Marker:
-        return Marker(header=self.header, ns=namespace, id=object_id, action=Marker.DELETE)
 
     @property
     def _mark_diameter(self) -> float:
@@ -262,6 +426,7 @@ class _MarkerBrush:
         x, y, z = map(float, scale)
         marker.scale = Vector3(x=x, y=y, z=z)
         marker.color = _colour(object_id)
+        marker.lifetime = self.lifetime
         return marker
 
     def _points(self, pixels: npt.ArrayLike) -> list[Point]:
@@ -275,7 +440,8 @@ class Output:
     A `stateful` output's messages tell what changed since the one before, so that every one has to
     be built; of the others, only those that someone wants. One that `shows_image` can be built
     only of results whose frame kept its image. `depth` is how many messages a publisher keeps for
-    subscribers that missed one.
+    subscribers that missed one. `remove` returns the message that takes the marks of the last
+    frame away when no more come, None when there are none.
     """
 
     name: str
@@ -284,6 +450,7 @@ class Output:
     stateful: bool = False
     shows_image: bool = False
     depth: int = _IMAGE_DEPTH
+    remove: Callable[[Frame], Any | None] = lambda _: None
 
 
 def outputs(max_objects: int, markers: CentroidMarkers) -> tuple[Output, ...]:
@@ -291,8 +458,21 @@ def outputs(max_objects: int, markers: CentroidMarkers) -> tuple[Output, ...]:
     return (
         Output("labels", Image, labels_message),
         Output("mask", Image, mask_message),
-        Output("centroids", MarkerArray, markers.message, stateful=True, depth=_SMALL_DEPTH),
-        Output("annotations", ImageMarker, annotations_message, depth=_SMALL_DEPTH),
+        Output(
+            "centroids",
+            MarkerArray,
+            markers.message,
+            stateful=True,
+            depth=_SMALL_DEPTH,
+            remove=markers.removal,
+        ),
+        Output(
+            "annotations",
+            ImageMarker,
+            annotations_message,
+            depth=_SMALL_DEPTH,
+            remove=annotations_removal,
+        ),
         *map(slot_output, range(max_objects)),
     )
 

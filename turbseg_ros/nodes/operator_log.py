@@ -2,8 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import difflib
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
+
+from rclpy.qos import (
+    QoSCompatibility,
+    QoSProfile,
+    ReliabilityPolicy,
+    qos_check_compatible,
+)
 
 from turbseg_ros.messages.cdr import compressed_image_view, image_view
 from turbseg_ros.segmentation.frame import Frame, SegmentationResult
@@ -16,6 +24,8 @@ _COMPRESSED = "/compressed"
 _SILENCE = 3.0
 # Topics that are named at most.
 _MAX_TOPICS = 8
+# Share of letters in common from which a name may be a misspelt one.
+_ALIKE = 0.8
 # Lines about objects in so many seconds.
 _MAX_OBJECT_LINES, _OBJECT_PERIOD = 5, 10.0
 
@@ -44,15 +54,23 @@ def mismatch_text(topic: str, wanted: str, carried: Sequence[str]) -> str:
 
 
 def missing_image_text(
-    topic: str, wanted: str, reliability: str, published: Mapping[str, Sequence[str]]
+    topic: str,
+    wanted: str,
+    reliability: str,
+    published: Mapping[str, Sequence[str]],
+    incompatible: str = "",
 ) -> str:
     """Return why no image may come, and where images are.
 
     :param wanted: the type that is subscribed to.
     :param published: types by topic, of what others publish.
+    :param incompatible: what is asked of the topic's publishers that they don't offer, and what
+        to set; empty where they offer all.
     """
     carried = published.get(topic, ())
     if wanted in carried:
+        if incompatible:
+            return incompatible
         reason = f"it is published, but nothing arrives (asked for as {reliability})"
     else:
         reason = mismatch_text(topic, wanted, carried) or "nobody publishes it"
@@ -65,12 +83,41 @@ def missing_image_text(
         if carried:
             return reason
         return f"{reason}, nor any other image: does the camera run, in this ROS_DOMAIN_ID?"
-    # A camera's own topic is most likely the one that is meant.
-    names = sorted(images, key=lambda name: (not _is_raw(name), name))
+    # One of much the same name is most likely the one that is meant, then a camera's own.
+    alike = difflib.get_close_matches(topic, images, n=1, cutoff=_ALIKE)
+    names = sorted(images, key=lambda name: (name not in alike, not _is_raw(name), name))
     listed = ", ".join(f"{name} ({', '.join(images[name])})" for name in names[:_MAX_TOPICS])
     more = f" and {len(names) - _MAX_TOPICS} more" if len(names) > _MAX_TOPICS else ""
     first = names[0]
     return f"{reason}; image topics: {listed}{more}; {_arguments(first, images[first])} takes it"
+
+
+def incompatible_text(
+    topic: str, asked: QoSProfile, offered: Iterable[QoSProfile], forced: bool
+) -> str:
+    """Return what a subscription asks for that no publisher of its topic offers, and what to set.
+
+    Empty where some publisher offers all.
+
+    :param forced: whether qos.reliability forces what is asked for, not an override of ROS.
+    """
+    text = ""
+    for profile in offered:
+        compatibility, reason = qos_check_compatible(profile, asked)
+        if compatibility != QoSCompatibility.ERROR:
+            return ""
+        text = f"its publishers offer another QoS than is asked for: {reason}"
+        if asked.reliability == ReliabilityPolicy.RELIABLE != profile.reliability:
+            setting = (
+                "qos.reliability:=auto"
+                if forced
+                else f"qos_overrides.{topic}.subscription.reliability:=best_effort"
+            )
+            text = (
+                "its publishers offer best_effort, not reliable, so none is heard; "
+                f"-p {setting} takes it"
+            )
+    return text
 
 
 def _is_raw(topic: str) -> bool:
@@ -80,6 +127,8 @@ def _is_raw(topic: str) -> bool:
 def _arguments(topic: str, types: Sequence[str]) -> str:
     """Return the arguments with which the node takes the images of a topic."""
     transport = "raw" if IMAGE_TYPE in types else "compressed"
+    if transport == "compressed" and not topic.endswith(_COMPRESSED):
+        return f"-r image_raw{_COMPRESSED}:={topic} -p image_transport:=compressed"
     base = topic if transport == "raw" else topic.removesuffix(_COMPRESSED)
     return f"-r image_raw:={base} -p image_transport:={transport}"
 

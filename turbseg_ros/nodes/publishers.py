@@ -6,6 +6,7 @@ import time
 import traceback
 from collections.abc import Callable, Iterable
 
+import numpy as np
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
@@ -13,7 +14,7 @@ from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from turbseg_ros.messages.results import Output
-from turbseg_ros.segmentation.frame import SegmentationResult
+from turbseg_ros.segmentation.frame import Frame, SegmentationResult
 from turbseg_ros.throttle import ThrottledLogger
 
 
@@ -33,10 +34,14 @@ class ResultPublisher:
     ) -> None:
         self._throttled = ThrottledLogger(node.get_logger())
         self._on_incomplete = on_incomplete
+        # That of the last result, without its image.
+        self._last: Frame | None = None
         self._publishers = [(output, _publisher(node, output)) for output in outputs]
 
     def publish(self, result: SegmentationResult) -> None:
         """Publish one result where someone listens; what is stateful, in any case."""
+        frame = result.frame
+        self._last = Frame(frame.stamp, np.zeros((1, 1), np.uint8), frame.frame_id)
         succeeded = [
             self._publish(output, publisher, result)
             for output, publisher in self._publishers
@@ -44,6 +49,15 @@ class ResultPublisher:
         ]
         if not all(succeeded):
             self._on_incomplete()
+
+    def remove_marks(self) -> None:
+        """Take away what the last result left on viewers' screens."""
+        last, self._last = self._last, None
+        if last is None:
+            return
+        for output, publisher in self._publishers:
+            if (message := output.remove(last)) is not None:
+                publisher.publish(message)
 
     def _publish(self, output: Output, publisher: Publisher, result: SegmentationResult) -> bool:
         """Publish a result on one topic where it is asked for; return whether that went well."""

@@ -8,14 +8,15 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock, ClockType, JumpThreshold, TimeJump
 from rclpy.duration import Duration
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
-from rclpy.qos import qos_profile_sensor_data
+from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_srvs.srv import SetBool, Trigger
 
 from turbseg_ros.factory import motion_segmenter
 from turbseg_ros.messages.images import frame_from_serialised
-from turbseg_ros.messages.results import CentroidMarkers, UnitDepthPlane, outputs, views
+from turbseg_ros.messages.results import CentroidMarkers, outputs, views
 from turbseg_ros.nodes.diagnostics import Event, NodeState, Report, Statistics, status_message
 from turbseg_ros.nodes.operator_log import (
     InputWatch,
@@ -39,6 +40,7 @@ _MATCH_PERIOD = 0.2
 _MIN_DEPTH = 10
 # Seconds that listeners get for the last results when the node ends.
 _FAREWELL = 1.0
+_LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 # A clock that is set back by less is being adjusted; by more, a bag begins again.
 _CLOCK_JUMP = JumpThreshold(
     min_forward=None, min_backward=Duration(seconds=-0.1), on_clock_change=False
@@ -65,7 +67,7 @@ class TurbsegNode(Node):  # type: ignore[misc]  # rclpy is read as untyped
         compressed = parameters.image_transport == "compressed"
         self._image_type: type[Any] = CompressedImage if compressed else Image
         self._statistics = Statistics()
-        self._markers = CentroidMarkers()
+        self._markers = CentroidMarkers(on_misfit=self._tell_misfit)
         self._results = ResultPublisher(
             self,
             (*outputs(parameters.max_objects, self._markers), *views()),
@@ -85,10 +87,19 @@ class TurbsegNode(Node):  # type: ignore[misc]  # rclpy is read as untyped
             statistics=self._statistics,
             logger=self.get_logger(),
             queue_size=parameters.queue_size,
+            on_pause=self._results.remove_marks,
         )
         self._images: MatchingSubscription | None = self._subscribe()
-        self._camera_info = self.create_subscription(
-            CameraInfo, self._camera_info_topic(), self._on_camera_info, qos_profile_sensor_data
+        # What is latched, only the second one gets; what isn't, only the first.
+        self._camera_info, _ = (
+            self.create_subscription(
+                CameraInfo,
+                self._camera_info_topic(),
+                self._markers.calibrate,
+                qos,
+                event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
+            )
+            for qos in (qos_profile_sensor_data, _LATCHED)
         )
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(SetBool, "~/enable", self._on_enable)
@@ -170,11 +181,8 @@ class TurbsegNode(Node):  # type: ignore[misc]  # rclpy is read as untyped
         if dataclasses.replace(after, diagnostics=before.diagnostics) != before:
             self._worker.reconfigure(after)
 
-    def _on_camera_info(self, camera_info: CameraInfo) -> None:
-        try:
-            self._markers.plane = UnitDepthPlane.from_camera_info(camera_info)
-        except ValueError as error:
-            self.get_logger().warning(f"markers stay in pixels: {error}", once=True)
+    def _tell_misfit(self, reason: str) -> None:
+        self.get_logger().warning(f"markers stay in pixels: {reason}")
 
     def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._worker.restart("reset was called")
@@ -193,6 +201,7 @@ class TurbsegNode(Node):  # type: ignore[misc]  # rclpy is read as untyped
             # Nothing is left to receive, so a disabled node costs no network either.
             self._images.destroy()
             self._images = None
+            self._worker.end_stream()
             self.get_logger().info("disabled: no image is heard until ~/enable is called again")
         response.success = True
         response.message = "enabled" if request.data else "disabled"
@@ -238,7 +247,9 @@ class TurbsegNode(Node):  # type: ignore[misc]  # rclpy is read as untyped
         # The graph's types of a topic are those of its subscribers, too.
         published[images.topic] = sorted(set(images.published_types))
         reliability = images.reliability.name.lower()
-        return missing_image_text(images.topic, images.type_name, reliability, published)
+        return missing_image_text(
+            images.topic, images.type_name, reliability, published, images.incompatibility
+        )
 
     def _state(self) -> NodeState:
         images, parameters = self._images, self._parameter_handler.current

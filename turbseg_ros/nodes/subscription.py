@@ -22,6 +22,7 @@ from rclpy.qos import (
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 
+from turbseg_ros.nodes.operator_log import incompatible_text
 from turbseg_ros.nodes.rcl_take import Taken, take
 from turbseg_ros.parameters import ParameterError
 
@@ -109,6 +110,17 @@ class MatchingSubscription:
         """The message type of each of the topic's publishers."""
         publishers = self._node.get_publishers_info_by_topic(self.topic)
         return [publisher.topic_type for publisher in publishers]
+
+    @property
+    def incompatibility(self) -> str:
+        """What is asked for that no publisher offers, and what to set; "" where one is heard."""
+        offered = [
+            publisher.qos_profile
+            for publisher in self._node.get_publishers_info_by_topic(self.topic)
+            if publisher.topic_type == self.type_name
+        ]
+        asked = self._subscription.qos_profile
+        return incompatible_text(self.topic, asked, offered, self._forced is not None)
 
     def match(self) -> None:
         """Subscribe anew if the publishers offer another reliability than the one in force.

@@ -53,7 +53,7 @@ class LiveSegmenter(Protocol):
 
 @dataclass(frozen=True)
 class Arrival:
-    """A message and when it came, in steady nanoseconds.
+    """A message and when it came: in steady nanoseconds, and on the clock of stamps.
 
     `after_drops` tells whether those before it were dropped.
     """
@@ -61,6 +61,7 @@ class Arrival:
     message: Any
     time: int
     after_drops: bool = False
+    received: int = 0
 
 
 Command = Callable[[], None]
@@ -123,7 +124,9 @@ class SegmentationWorker:
     is told how many wait, and may hurry.
 
     `convert` turns a message into a frame or raises `ImageConversionError`; `now` gives the
-    time, in nanoseconds, on the clock of the frames' stamps.
+    time, in nanoseconds, on the clock of the frames' stamps. `on_pause` is called when no more
+    images come, once their results are published: after a while without one, when the stream was
+    said to end, and when the worker stops.
     """
 
     def __init__(
@@ -135,6 +138,7 @@ class SegmentationWorker:
         statistics: Statistics,
         logger: Any,
         queue_size: int,
+        on_pause: Callable[[], None] = lambda: None,
     ) -> None:
         self._segmenter = segmenter
         self._convert = convert
@@ -144,10 +148,14 @@ class SegmentationWorker:
         self._logger = logger
         self._throttled = ThrottledLogger(logger)
         self._inbox = Inbox(queue_size)
+        self._on_pause = on_pause
         self._monitor = StreamMonitor()
-        # Frames that wait for their result, and when they arrived, by stamp, in order.
-        self._unanswered: dict[int, tuple[Frame, int]] = {}
+        # Frames that wait for their result, and when they arrived, in order.
+        self._unanswered: deque[tuple[Frame, int]] = deque()
         self._last_arrival = 0
+        # Whether images come, and whether more are to come once those that wait are answered.
+        self._streaming = False
+        self._more_to_come = True
         self._running = True
         self._abandoned = False
         self._thread = threading.Thread(target=self._run, name="segmentation", daemon=True)
@@ -169,7 +177,9 @@ class SegmentationWorker:
     def submit(self, message: Any) -> None:
         """Queue an image, in place of the oldest if too many wait."""
         self._statistics.count(Event.RECEIVED)
-        dropped = self._inbox.put(Arrival(message, time.monotonic_ns()))
+        self._more_to_come = True
+        arrival = Arrival(message, time.monotonic_ns(), received=self._now())
+        dropped = self._inbox.put(arrival)
         if dropped:
             self._statistics.count(Event.DROPPED, dropped)
             self._throttled.warning(
@@ -179,6 +189,12 @@ class SegmentationWorker:
     def restart(self, reason: str) -> None:
         """Answer the frames at hand and take what follows for a new stream."""
         self._inbox.command(lambda: self._restart(reason))
+
+    def end_stream(self) -> None:
+        """Say that no more images come: once those that wait are answered, it is a pause."""
+        self._more_to_come = False
+        # Wakes the thread, which may be waiting for an image.
+        self._inbox.command(lambda: None)
 
     def reconfigure(self, parameters: Parameters) -> None:
         """Answer the frames at hand and go on with other parameters."""
@@ -200,7 +216,7 @@ class SegmentationWorker:
             entry = self._inbox.take(self._time_to_pause())
             try:
                 if entry is None:
-                    self._flush()
+                    self._pause()
                 elif isinstance(entry, Arrival):
                     self._segment(entry)
                 else:
@@ -210,8 +226,10 @@ class SegmentationWorker:
                 self._log_error("worker", traceback.format_exc())
 
     def _time_to_pause(self) -> float | None:
-        if not self._unanswered:
+        if not self._streaming:
             return None
+        if not self._more_to_come:
+            return 0.0
         silence = (time.monotonic_ns() - self._last_arrival) / _SECOND
         return max(self._monitor.patience - silence, 0.0)
 
@@ -221,15 +239,21 @@ class SegmentationWorker:
         except ImageConversionError as error:
             self._skip(type(error).__name__, str(error))
             return
-        verdict = self._monitor.judge(frame, arrival.time, arrival.after_drops)
+        verdict = self._monitor.judge(
+            frame, arrival.time, arrival.after_drops, received=arrival.received
+        )
+        if verdict.notice:
+            self._logger.warning(verdict.notice)
         if verdict.action is Action.SKIP:
             self._skip(verdict.continuity, verdict.reason)
             return
         if verdict.action is Action.RESTART:
             self._throttled.info(verdict.continuity, f"new window: {verdict.reason}")
             self._begin_stream()
-        self._unanswered[frame.stamp] = (frame.kept(), arrival.time)
+        frame = verdict.frame
+        self._unanswered.append((frame.kept(), arrival.time))
         self._last_arrival = arrival.time
+        self._streaming = True
         self._answer(
             functools.partial(self._segmenter.push, frame, waiting=self.waiting),
             f"the image of {_seconds(frame.stamp)} s",
@@ -254,7 +278,12 @@ class SegmentationWorker:
 
     def _stop(self) -> None:
         self._running = False
+        self._pause()
+
+    def _pause(self) -> None:
         self._flush()
+        self._streaming = False
+        self._on_pause()
 
     def _flush(self) -> None:
         flush = functools.partial(self._segmenter.flush, lambda: self.waiting)
@@ -277,12 +306,12 @@ class SegmentationWorker:
         self._statistics.failed(len(self._unanswered))
         self._monitor.forget()
         self._segmenter.reset()
-        for frame, _ in list(self._unanswered.values()):
+        for frame, _ in list(self._unanswered):
             self._publish_answer(self._segmenter.empty_result(frame))
 
     def _publish_answer(self, result: SegmentationResult) -> None:
         stamp = result.frame.stamp
-        _, arrived = self._unanswered.pop(stamp)
+        _, arrived = self._unanswered.popleft()
         if self._abandoned:
             return
         try:

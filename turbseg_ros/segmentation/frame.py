@@ -21,13 +21,18 @@ class Frame:
     `image` is HxW (grey) or HxWx3 (blue, green, red), uint8, uint16 or float32; `stamp` is the
     time it was taken, in nanoseconds; `frame_id` names the camera's coordinate frame. Where it is
     not `image_wanted`, its result comes with a black image, for full-size ones of all frames that
-    wait take much memory.
+    wait take much memory. `received` is when it came or was recorded, in nanoseconds, and `period`
+    the usual time, in seconds, from one frame to the next, None where that is not known. One that
+    `begins_stream` has nothing to do with those before.
     """
 
     stamp: int
     image: Image
     frame_id: str = ""
     image_wanted: bool = True
+    received: int | None = None
+    period: float | None = None
+    begins_stream: bool = False
 
     def kept(self) -> Frame:
         """Return what is to be kept of it for its result."""
@@ -44,7 +49,8 @@ class MovingObject:
 
     Lengths are pixels of the input image. `slot` is the output slot that the object keeps while
     it lives, -1 when all were taken; `velocity` is pixels a frame against the scene; `trail` are
-    earlier centroids, oldest first, in this frame's coordinates.
+    earlier centroids, oldest first, in this frame's coordinates; `period` is the time from one
+    frame to the next in seconds, None where it is not known.
     """
 
     id: int
@@ -54,6 +60,14 @@ class MovingObject:
     area: int
     box: tuple[int, int, int, int]
     trail: tuple[tuple[float, float], ...] = ()
+    period: float | None = None
+
+    @property
+    def velocity_per_second(self) -> tuple[float, float] | None:
+        """The velocity in pixels a second, None where the frames' rate is not known."""
+        if self.period is None:
+            return None
+        return self.velocity[0] / self.period, self.velocity[1] / self.period
 
     @property
     def label(self) -> int:
@@ -69,6 +83,7 @@ class MovingObject:
         velocity: tuple[float, float] = (0.0, 0.0),
         trail: tuple[tuple[float, float], ...] = (),
         origin: tuple[int, int] = (0, 0),
+        period: float | None = None,
     ) -> MovingObject:
         """Return the object that a mask, hxw, shows: its centroid, area and box by the mask.
 
@@ -89,6 +104,7 @@ class MovingObject:
             area=int(area),
             box=(x + origin[0], y + origin[1], width, height),
             trail=trail,
+            period=period,
         )
 
 

@@ -23,8 +23,8 @@ class MotionSegmenter:
 
     `push` takes frames in the order of time and returns the results that are ready; `flush`
     returns those of all frames that are left. Every frame gets exactly one result, in order. A
-    frame of another size, kind or scene than those before starts a new window; ids go on. `close`
-    ends its threads; used in a `with`, it closes itself.
+    frame of another size, kind or scene than those before, or one that begins a stream, starts a
+    new window; ids go on. `close` ends its threads; used in a `with`, it closes itself.
     """
 
     def __init__(
@@ -184,8 +184,8 @@ class _Stream:
         self._pending: deque[PendingResult] = deque()
 
     def takes(self, frame: Frame) -> bool:
-        """Whether a frame has the size and type of those before."""
-        return _kind_of(frame) == self._kind
+        """Whether a frame goes on where those before stopped, in their size and type."""
+        return not frame.begins_stream and _kind_of(frame) == self._kind
 
     def prepare(self, frame: Frame) -> None:
         """Have the next frame prepared in the background."""

@@ -74,6 +74,7 @@ class PendingResult:
             velocity=(vx * scale, vy * scale),
             trail=tuple((x * scale, y * scale) for x, y in observation.trail),
             origin=(found.box.x0, found.box.y0),
+            period=self.frame.period,
         )
 
 
