@@ -8,7 +8,6 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock, ClockType, JumpThreshold, TimeJump
 from rclpy.duration import Duration
-from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_srvs.srv import SetBool, Trigger
@@ -26,6 +25,8 @@ from turbseg_ros.nodes.operator_log import (
 )
 from turbseg_ros.nodes.parameters import ParameterHandler
 from turbseg_ros.nodes.publishers import ResultPublisher
+from turbseg_ros.nodes.rcl_take import MessageTaker
+from turbseg_ros.nodes.receiving_node import ReceivingNode
 from turbseg_ros.nodes.subscription import MatchingSubscription
 from turbseg_ros.nodes.worker import SegmentationWorker
 from turbseg_ros.parameters import ParameterError, Parameters
@@ -45,7 +46,7 @@ _CLOCK_JUMP = JumpThreshold(
 )
 
 
-class TurbsegNode(Node):  # type: ignore[misc]  # rclpy is read as untyped
+class TurbsegNode(ReceivingNode):
     """Segments what really moves before a camera that looks through turbulent air.
 
     Subscribes to `image_raw` and, if there is one, `camera_info`; publishes results below its
@@ -86,6 +87,7 @@ class TurbsegNode(Node):  # type: ignore[misc]  # rclpy is read as untyped
             logger=self.get_logger(),
             queue_size=parameters.queue_size,
         )
+        self._taker = MessageTaker(self)
         self._images: MatchingSubscription | None = self._subscribe()
         self._camera_info = self.create_subscription(
             CameraInfo, self._camera_info_topic(), self._on_camera_info, qos_profile_sensor_data
@@ -125,6 +127,7 @@ class TurbsegNode(Node):  # type: ignore[misc]  # rclpy is read as untyped
             self._image_type,
             topic,
             self._worker.submit,
+            taker=self._taker,
             depth=max(parameters.queue_size, _MIN_DEPTH),
             reliability=parameters.qos.reliability,
             on_lost=lambda count: self._statistics.count(Event.LOST, count),
