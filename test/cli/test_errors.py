@@ -4,11 +4,14 @@ import signal
 import subprocess
 import sys
 import textwrap
+import time
+import weakref
+from collections.abc import Sequence
 
 import pytest
 
 from turbseg_ros.bag.errors import BagError
-from turbseg_ros.cli.errors import UsageError, executable
+from turbseg_ros.cli.errors import Interrupted, UsageError, executable
 from turbseg_ros.parameters import ParameterError
 
 TIME_LIMIT = 20
@@ -112,3 +115,24 @@ def test_a_reader_that_goes_away_is_no_traceback():
     finally:
         process.kill()
     assert (errors, status) == ("", 128 + signal.SIGPIPE)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interruption_that_python_lost_comes_again(number: signal.Signals) -> None:
+    class Thing:
+        pass
+
+    @executable("turbseg_test")
+    def main(arguments: Sequence[str] | None = None) -> int:
+        thing = Thing()
+        # An exception in here reaches nobody.
+        watched = weakref.ref(thing, lambda _: signal.raise_signal(number))
+        del thing
+        until = time.monotonic() + 20
+        while time.monotonic() < until:
+            time.sleep(0.01)
+        return 0 if watched() is None else 1
+
+    with pytest.raises(Interrupted) as ended:
+        main([])
+    assert ended.value.code == 128 + number

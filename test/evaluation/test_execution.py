@@ -1,8 +1,10 @@
-"""turbseg_evaluate on Dask: the same figures as in one process, and what goes wrong there."""
+"""turbseg_evaluate in several processes: the same figures as in one, and what goes wrong there."""
 
 from __future__ import annotations
 
+import importlib
 import json
+import logging
 import os
 import re
 import signal
@@ -23,15 +25,14 @@ from turbseg_ros.evaluation.baselines import BackgroundSubtraction
 from turbseg_ros.evaluation.execution import (
     ClusterError,
     Failure,
-    local_cluster,
     remote_cluster,
+    run_beside,
     run_on,
 )
 from turbseg_ros.evaluation.run import Run, RunResult, Source
+from turbseg_ros.worker_pool import WorkerPool
 
-pytest.importorskip("distributed", reason="Dask is not installed")
-
-# A worker imports ROS 2, OpenCV and Dask, which takes its time on a busy machine.
+# A worker imports ROS 2 and OpenCV, which takes its time on a busy machine.
 pytestmark = pytest.mark.timeout(240)
 
 # Small pictures, for the sake of time.
@@ -61,11 +62,21 @@ def alone(bags: list[Path], tmp_path_factory: pytest.TempPathFactory) -> dict[st
 
 
 @pytest.fixture(scope="module")
-def scheduler() -> Iterator[str]:
+def scheduler(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     """The address of a cluster that runs already."""
-    with local_cluster(workers=1) as client:
-        address: Any = client.scheduler
-        yield address.address
+    distributed = pytest.importorskip("distributed", reason="Dask is not installed")
+    with (
+        importlib.import_module("dask").config.set({"distributed.scheduler.allowed-failures": 0}),
+        distributed.LocalCluster(
+            n_workers=1,
+            threads_per_worker=1,
+            host="127.0.0.1",
+            dashboard_address="127.0.0.1:0",
+            local_directory=tmp_path_factory.mktemp("dask"),
+            silence_logs=logging.ERROR,
+        ) as cluster,
+    ):
+        yield cluster.scheduler_address
 
 
 def untimed(content: Any) -> Any:
@@ -97,22 +108,39 @@ def test_a_running_scheduler_is_used(
     assert untimed(json.loads(file.read_text()))["bags"] == alone["bags"]
 
 
-def test_a_worker_that_dies_costs_its_trial_only(bags: list[Path]) -> None:
+@pytest.fixture(scope="module")
+def with_a_deadly_one(bags: list[Path]) -> list[Run]:
+    """Three runs, of which the first takes its process down."""
     sources = [Source(str(bag), bag, None, TRUTH_TOPIC) for bag in bags]
-    runs = [
+    return [
         Run(sources[0], Deadly()),
         *(Run(source, BackgroundSubtraction("knn", stabilised=False)) for source in sources),
     ]
-    with local_cluster(workers=1) as client:
-        dead, *others = run_on(client, runs)
+
+
+def test_a_worker_that_dies_costs_its_run_only(
+    bags: list[Path], with_a_deadly_one: list[Run]
+) -> None:
+    with WorkerPool(2) as pool:
+        dead, *others = run_beside(pool, with_a_deadly_one)
+    assert isinstance(dead, Failure)
+    assert dead.reason.startswith(f"{bags[0]}: deadly: the process that ran it died")
+    assert [type(outcome) for outcome in others] == [RunResult, RunResult]
+
+
+def test_what_a_cluster_gives_up_is_a_failure(
+    bags: list[Path], with_a_deadly_one: list[Run], scheduler: str
+) -> None:
+    with remote_cluster(scheduler) as client:
+        (dead,) = run_on(client, with_a_deadly_one[:1])
     assert isinstance(dead, Failure)
     assert dead.reason.startswith(f"{bags[0]}: KilledWorker")
-    assert [type(outcome) for outcome in others] == [RunResult, RunResult]
 
 
 def test_a_scheduler_that_is_not_there_is_one_line(
     bags: list[Path], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    pytest.importorskip("distributed", reason="Dask is not installed")
     monkeypatch.setattr("turbseg_ros.evaluation.execution._CONNECT_SECONDS", 0.5)
     assert main([str(bags[0]), "--scheduler", "tcp://127.0.0.1:9"]) == 2
     error = capsys.readouterr().err
@@ -121,15 +149,8 @@ def test_a_scheduler_that_is_not_there_is_one_line(
 
 def test_without_dask_a_cluster_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with (
-        pytest.raises(ClusterError, match=re.escape(how_to_install("distributed"))),
-        local_cluster(2),
-    ):
-        pass
-    with (
-        pytest.raises(ClusterError, match=re.escape(how_to_install("distributed"))),
-        remote_cluster("tcp://x"),
-    ):
+    missing = re.escape(how_to_install("distributed"))
+    with pytest.raises(ClusterError, match=missing), remote_cluster("tcp://x"):
         pass
 
 

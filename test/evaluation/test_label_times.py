@@ -124,7 +124,9 @@ def test_replayed_labels_are_recorded_with_their_image_and_find_their_truth(
     labels = list(read_labels(BagReader(tmp_path / "out"), LABELS_TOPIC))
     assert [item.recorded for item in labels] == [recorded(n, 30.0) for n in range(FRAMES)]
     if kind in ("epoch", "since boot"):
-        assert [item.stamp for item in labels] == [KINDS[kind](item.recorded or 0) for item in labels]
+        assert [item.stamp for item in labels] == [
+            KINDS[kind](item.recorded or 0) for item in labels
+        ]
     scores = evaluate_labels("bag", labels, truth_of(reader))
     assert (scores.scored_frames, scores.j) == (FRAMES, 1.0)
 

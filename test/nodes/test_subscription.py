@@ -6,7 +6,6 @@ import threading
 import time
 
 import pytest
-from rclpy.node import Node
 from rclpy.qos import ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import Image
@@ -14,6 +13,8 @@ from std_msgs.msg import Int32
 
 from support.node_harness import BEST_EFFORT, RELIABLE, TIMEOUT, Probe
 from turbseg_ros.messages.cdr import image_view
+from turbseg_ros.nodes.rcl_take import MessageTaker
+from turbseg_ros.nodes.receiving_node import ReceivingNode
 from turbseg_ros.nodes.subscription import (
     MatchingSubscription,
     SequenceNumbers,
@@ -70,7 +71,7 @@ def subscribe(probe):
     topics = itertools.count()
 
     def subscribe(*arguments, reliability="auto", kind=Int32, when=None, fails_on=None):
-        node = Node(
+        node = ReceivingNode(
             "listener",
             context=probe.context,
             cli_args=["--ros-args", *arguments],
@@ -92,6 +93,7 @@ def subscribe(probe):
             kind,
             f"numbers_{next(topics)}",
             receive,
+            taker=MessageTaker(node),
             depth=10,
             reliability=reliability,
             on_lost=lost.append,

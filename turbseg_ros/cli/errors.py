@@ -10,6 +10,7 @@ import functools
 import os
 import signal
 import sys
+import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from types import FrameType
 from typing import NoReturn, Protocol, TypeVar
@@ -20,6 +21,7 @@ from turbseg_ros.parameters import ParameterError
 
 _REFUSED = 2  # as argparse ends
 _STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_REPEAT_SECONDS = 0.01
 
 T = TypeVar("T")
 
@@ -135,7 +137,7 @@ def executable(name: str) -> Callable[[Main], Main]:
     def decorate(main: Main) -> Main:
         @functools.wraps(main)
         def run(arguments: Sequence[str] | None = None) -> int:
-            with signals_answered_by(_interrupt, _STOP_SIGNALS):
+            with signals_answered_by(_interrupt, _STOP_SIGNALS), _lost_interruptions_repeated():
                 try:
                     status = main(arguments)
                     sys.stdout.flush()
@@ -154,6 +156,33 @@ def executable(name: str) -> Callable[[Main], Main]:
         return run
 
     return decorate
+
+
+@contextlib.contextmanager
+def _lost_interruptions_repeated() -> Iterator[None]:
+    """Interrupt again when the exception was raised where Python lets none through.
+
+    Such places are callbacks of weak references, which thread pools have, and `__del__`.
+    """
+    before = sys.unraisablehook
+
+    def look(lost: sys.UnraisableHookArgs) -> None:
+        if not isinstance(lost.exc_value, Interrupted):
+            before(lost)
+            return
+        number = int(lost.exc_value.code or 0) - 128
+        for stop in _STOP_SIGNALS:
+            signal.signal(stop, _interrupt)
+        # By then, the callback has most likely ended.
+        again = threading.Timer(_REPEAT_SECONDS, os.kill, (os.getpid(), number))
+        again.daemon = True
+        again.start()
+
+    sys.unraisablehook = look
+    try:
+        yield
+    finally:
+        sys.unraisablehook = before
 
 
 def refuse_without(name: str, error: ImportError) -> int:

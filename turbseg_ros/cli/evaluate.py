@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import functools
-import importlib.util
 import os
 import shlex
 import sys
@@ -33,8 +32,8 @@ from turbseg_ros.evaluation.execution import (
     ClusterError,
     Failure,
     Runner,
-    local_cluster,
     remote_cluster,
+    run_beside,
     run_here,
     run_on,
 )
@@ -53,6 +52,7 @@ from turbseg_ros.evaluation.report import PAGE, Report, ReportError, ReportWrite
 from turbseg_ros.evaluation.run import Run, RunResult, Source
 from turbseg_ros.evaluation.scores import Table, write_json
 from turbseg_ros.parameters import Parameters
+from turbseg_ros.worker_pool import WorkerPool
 
 _METHOD = "turbseg"
 _EXPERIMENTS = ("baselines", "ablation", "sensitivity", "tilt_curve", "shake_curve")
@@ -297,14 +297,14 @@ def _print_scores(evaluation: _Evaluation, runner: Runner, runs: Sequence[Run]) 
 def _runner(options: argparse.Namespace, workers: int) -> Iterator[Runner]:
     """Return what does runs, as the options say: here, by so many workers, or on a cluster.
 
-    :raises ClusterError: when there is no cluster to be had.
+    :raises ClusterError: when the cluster that was asked for can't be had.
     """
     if options.scheduler is not None:
         with remote_cluster(options.scheduler) as client:
             yield functools.partial(run_on, client)
     elif workers > 1:
-        with local_cluster(workers) as client:
-            yield functools.partial(run_on, client)
+        with WorkerPool(workers) as pool:
+            yield functools.partial(run_beside, pool)
     else:
         yield functools.partial(
             run_here, progress=lambda run: functools.partial(with_progress, title=run.title)
@@ -312,7 +312,5 @@ def _runner(options: argparse.Namespace, workers: int) -> Iterator[Runner]:
 
 
 def _usable_workers() -> int:
-    """Return how many processes there is use for: the cores this one may use, if Dask is there."""
-    if importlib.util.find_spec("distributed") is None:
-        return 1
+    """Return how many processes there is use for: as many as cores that this one may use."""
     return len(os.sched_getaffinity(0))

@@ -6,18 +6,16 @@ import argparse
 import dataclasses
 import functools
 import json
-import signal
 import sys
 import tempfile
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any
 
 import cv2
 
 from turbseg_ros.cli.errors import (
-    Interrupted,
     StopRequest,
     UsageError,
     executable,
@@ -30,6 +28,7 @@ from turbseg_ros.cli.parsers.train import build_parser
 from turbseg_ros.learning.examples import Examples, examples_from, rendered_clip
 from turbseg_ros.learning.torch_import import require_torch
 from turbseg_ros.parameters import Parameters
+from turbseg_ros.worker_pool import WorkerPool
 
 # Every so many scenes, one is held out from training.
 _HELD_OUT = 10
@@ -71,27 +70,21 @@ def _examples(
     """
     kept: list[Examples] = []
     held: list[Examples] = []
-    with ProcessPoolExecutor(workers, initializer=_start_worker) as pool:
-        taken = pool.map(functools.partial(_windows_of, frames=frames), scenes)
+    with WorkerPool(workers) as pool:
+        taken = pool.run(functools.partial(_windows_of, frames=frames), scenes)
         shown = with_progress(taken, "rendering", unit="scene", total=len(scenes))
-        try:
-            for number, examples in enumerate(shown):
-                stop.check()
-                (held if number % _HELD_OUT == 0 else kept).append(examples)
-        except Interrupted:
-            # Else the pool's end waits for all scenes.
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+        for number, future in enumerate(shown):
+            stop.check()
+            try:
+                examples = future.result()
+            except BrokenProcessPool as error:
+                reason = f"scene {scenes[number]}: the process that rendered it died"
+                raise UsageError(f"{reason}; fewer --workers take less memory") from error
+            (held if number % _HELD_OUT == 0 else kept).append(examples)
     trained_on, held_out = Examples.joined(kept), Examples.joined(held)
     if not (len(trained_on) and len(held_out)):
         raise UsageError(f"nothing moved in {len(scenes)} scenes; render more, or longer ones")
     return trained_on, held_out
-
-
-def _start_worker() -> None:
-    # A Ctrl-C goes to all processes at a terminal; the one that the user started ends the others.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    cv2.setNumThreads(1)
 
 
 def _windows_of(scene: int, frames: int) -> Examples:

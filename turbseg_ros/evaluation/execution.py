@@ -1,6 +1,6 @@
-"""Runs at work: one after another in this process, or side by side on a Dask cluster.
+"""Runs at work: one after another in this process, side by side in others, or on a Dask cluster.
 
-Dask is imported only when a cluster is asked for.
+Dask is imported only when its scheduler is asked for.
 """
 
 from __future__ import annotations
@@ -8,10 +8,9 @@ from __future__ import annotations
 import contextlib
 import importlib
 import logging
-import signal
-import tempfile
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -22,18 +21,15 @@ from turbseg_ros.dependencies import how_to_install
 from turbseg_ros.evaluation.evaluate import EvaluationError
 from turbseg_ros.evaluation.run import Progress, Run, RunResult
 from turbseg_ros.parameters import ParameterError
+from turbseg_ros.worker_pool import WorkerPool
 
 if TYPE_CHECKING:
+    from concurrent.futures import Future as PoolFuture
+
     from distributed import Client, Future
 
 _LOGGER = logging.getLogger(__name__)
 _CONNECT_SECONDS = 10.0
-# A worker gets one run at a time, for if it dies, all that it has got count as its murderers;
-# and what killed two of them doesn't get a third.
-_LOCAL_CONFIGURATION = {
-    "distributed.scheduler.worker-saturation": 1.0,
-    "distributed.scheduler.allowed-failures": 1,
-}
 
 
 class ClusterError(Exception):
@@ -58,37 +54,18 @@ def run_here(runs: Sequence[Run], progress: Callable[[Run], Progress]) -> Iterat
         yield _outcome(run, progress(run))
 
 
+def run_beside(pool: WorkerPool, runs: Sequence[Run]) -> Iterator[Outcome]:
+    """Run runs in the processes of a pool; one that dies costs the run that it had."""
+    for run, future in zip(runs, pool.run(_run_as_worker, runs), strict=True):
+        yield _fetched(run, future)
+
+
 def run_on(client: Client, runs: Sequence[Run]) -> Iterator[Outcome]:
     """Run runs on a Dask cluster; bags must be found there under the same paths."""
     futures = deque(client.map(_run_as_worker, runs, pure=False, batch_size=1))
     for run in runs:
         # Once nobody holds a future, the cluster forgets its result, whose pictures are large.
         yield _fetched(run, futures.popleft())
-
-
-@contextlib.contextmanager
-def local_cluster(workers: int) -> Iterator[Client]:
-    """Start worker processes on this machine, of one thread each, for as long as they are needed.
-
-    :raises ClusterError: when Dask is not installed.
-    """
-    distributed = _distributed()
-    with (
-        importlib.import_module("dask").config.set(_LOCAL_CONFIGURATION),
-        tempfile.TemporaryDirectory(prefix="turbseg_workers_") as scratch,
-        distributed.LocalCluster(
-            n_workers=workers,
-            threads_per_worker=1,
-            processes=True,
-            host="127.0.0.1",
-            dashboard_address="127.0.0.1:0",
-            local_directory=scratch,
-            silence_logs=logging.ERROR,
-        ) as cluster,
-        distributed.Client(cluster) as client,
-    ):
-        client.run(_leave_interrupts_to_the_parent)
-        yield client
 
 
 @contextlib.contextmanager
@@ -113,13 +90,8 @@ def _distributed() -> Any:
         raise ClusterError(f"Dask is not installed: {how_to_install('distributed')}") from error
 
 
-def _leave_interrupts_to_the_parent() -> None:
-    # A Ctrl-C goes to all processes at a terminal; the one that the user started ends the others.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
 def _run_as_worker(run: Run) -> Outcome:
-    # The processor's cores are shared out among the workers already.
+    # Its other cores have workers of their own.
     cv2.setNumThreads(1)
     return _outcome(run, iter)
 
@@ -133,9 +105,12 @@ def _outcome(run: Run, progress: Progress) -> Outcome:
         return _unforeseen(run, error)
 
 
-def _fetched(run: Run, future: Future[Outcome]) -> Outcome:
+def _fetched(run: Run, future: Future[Outcome] | PoolFuture[Outcome]) -> Outcome:
     try:
         return future.result()
+    except BrokenProcessPool:
+        reason = "the process that ran it died, as for want of memory"
+        return Failure(f"{run.source.name}: {run.method.name}: {reason}")
     except Exception as error:  # a worker that died, or could not even start on the run
         return _unforeseen(run, error)
 

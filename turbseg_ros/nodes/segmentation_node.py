@@ -9,7 +9,6 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock, ClockType, JumpThreshold, TimeJump
 from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_srvs.srv import SetBool, Trigger
@@ -27,6 +26,8 @@ from turbseg_ros.nodes.operator_log import (
 )
 from turbseg_ros.nodes.parameters import ParameterHandler
 from turbseg_ros.nodes.publishers import ResultPublisher
+from turbseg_ros.nodes.rcl_take import MessageTaker
+from turbseg_ros.nodes.receiving_node import ReceivingNode
 from turbseg_ros.nodes.subscription import MatchingSubscription
 from turbseg_ros.nodes.worker import SegmentationWorker
 from turbseg_ros.parameters import ParameterError, Parameters
@@ -47,7 +48,7 @@ _CLOCK_JUMP = JumpThreshold(
 )
 
 
-class TurbsegNode(Node):  # type: ignore[misc]  # rclpy is read as untyped
+class TurbsegNode(ReceivingNode):
     """Segments what really moves before a camera that looks through turbulent air.
 
     Subscribes to `image_raw` and, if there is one, `camera_info`; publishes results below its
@@ -89,6 +90,7 @@ class TurbsegNode(Node):  # type: ignore[misc]  # rclpy is read as untyped
             queue_size=parameters.queue_size,
             on_pause=self._results.remove_marks,
         )
+        self._taker = MessageTaker(self)
         self._images: MatchingSubscription | None = self._subscribe()
         # What is latched, only the second one gets; what isn't, only the first.
         self._camera_info, _ = (
@@ -136,6 +138,7 @@ class TurbsegNode(Node):  # type: ignore[misc]  # rclpy is read as untyped
             self._image_type,
             topic,
             self._worker.submit,
+            taker=self._taker,
             depth=max(parameters.queue_size, _MIN_DEPTH),
             reliability=parameters.qos.reliability,
             on_lost=lambda count: self._statistics.count(Event.LOST, count),

@@ -7,11 +7,9 @@ import traceback
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from rclpy.callback_groups import CallbackGroup
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.guard_condition import GuardCondition
 from rclpy.impl.implementation_singleton import rclpy_implementation
-from rclpy.node import Node
 from rclpy.qos import (
     QoSCompatibility,
     QoSPolicyKind,
@@ -23,7 +21,8 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 
 from turbseg_ros.nodes.operator_log import incompatible_text
-from turbseg_ros.nodes.rcl_take import Taken, take
+from turbseg_ros.nodes.rcl_take import MessageTaker, Taken
+from turbseg_ros.nodes.receiving_node import ReceivedElsewhere, ReceivingNode, left_to_reception
 from turbseg_ros.parameters import ParameterError
 
 _FORCED = {
@@ -61,11 +60,12 @@ class MatchingSubscription:
 
     def __init__(
         self,
-        node: Node,
+        node: ReceivingNode,
         message_type: type[Any],
         topic: str,
         callback: Callable[[memoryview], None],
         *,
+        taker: MessageTaker,
         depth: int,
         reliability: str,
         on_lost: Callable[[int], None],
@@ -75,6 +75,7 @@ class MatchingSubscription:
         self._node = node
         self._message_type = message_type
         self._callback = callback
+        self._taker = taker
         self._depth = depth
         self._on_lost = on_lost
         self._numbers = SequenceNumbers()
@@ -85,7 +86,7 @@ class MatchingSubscription:
         self._unheard: set[bytes] = set()
         first = self._wanted_reliability(ReliabilityPolicy.RELIABLE)
         self._subscription = self._subscribe(first)
-        self._reception = _Reception(node, self._subscription, self._receive)
+        self._reception = self._receive_in_a_thread()
 
     @property
     def reliability(self) -> ReliabilityPolicy:
@@ -138,7 +139,7 @@ class MatchingSubscription:
         )
         self.destroy()
         self._subscription = self._subscribe(wanted)
-        self._reception = _Reception(self._node, self._subscription, self._receive)
+        self._reception = self._receive_in_a_thread()
 
     def destroy(self) -> None:
         """Stop listening; no message is handed on after that."""
@@ -159,9 +160,9 @@ class MatchingSubscription:
             return self._node.create_subscription(
                 self._message_type,
                 self.topic,
-                _left_to_reception,
+                left_to_reception,
                 QoSProfile(depth=self._depth, reliability=reliability),
-                callback_group=_ReceivedElsewhere(),
+                callback_group=ReceivedElsewhere(),
                 qos_overriding_options=self._overriding_options(),
                 event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
             )
@@ -196,6 +197,9 @@ class MatchingSubscription:
         compatibility, _ = qos_check_compatible(offered, self._subscription.qos_profile)
         return bool(compatibility != QoSCompatibility.ERROR)
 
+    def _receive_in_a_thread(self) -> _Reception:
+        return _Reception(self._node, self._subscription, self._taker, self._receive)
+
     def _receive(self, taken: Taken) -> None:
         missing = self._numbers.missing_before(taken.number)
         # Each publisher counts for itself, so that two can't be told from one that lost some.
@@ -204,25 +208,19 @@ class MatchingSubscription:
         self._callback(taken.data)
 
 
-class _ReceivedElsewhere(CallbackGroup):  # type: ignore[misc]  # rclpy is read as untyped
-    """Keeps executors from a subscription."""
-
-    def can_execute(self, entity: Any) -> bool:
-        return False
-
-
-def _left_to_reception(_message: Any) -> None:
-    raise AssertionError("an executor took a message that is received elsewhere")
-
-
 class _Reception:
     """A thread that takes a subscription's messages as they come."""
 
     def __init__(
-        self, node: Node, subscription: Subscription, receive: Callable[[Taken], None]
+        self,
+        node: ReceivingNode,
+        subscription: Subscription,
+        taker: MessageTaker,
+        receive: Callable[[Taken], None],
     ) -> None:
         self._node = node
         self._subscription = subscription
+        self._taker = taker
         self._receive = receive
         self._stopping = threading.Event()
         self._wake = GuardCondition(None, None, context=node.context)
@@ -241,6 +239,7 @@ class _Reception:
     def _run(self) -> None:
         context, handle = self._node.context, self._subscription.handle
         with context.handle, handle, self._wake.handle:
+            # As rclpy.wait_for_message does; in public, rclpy waits for whole nodes only.
             wait_set = rclpy_implementation.WaitSet(1, 1, 0, 0, 0, 0, context.handle)
             with wait_set:
                 while not self._stopping.is_set() and context.ok():
@@ -252,7 +251,7 @@ class _Reception:
             wait_set.add_subscription(handle)
             wait_set.add_guard_condition(self._wake.handle)
             wait_set.wait(-1)
-            taken = take(handle)
+            taken = self._taker.take(self._subscription)
             if taken is not None:
                 self._receive(taken)
         except Exception:

@@ -117,7 +117,7 @@ def _add_cluster(parser: argparse.ArgumentParser) -> None:
         "--workers",
         type=positive_count,
         metavar="N",
-        help="processes on this machine (as many as it has cores; 1 without Dask)",
+        help="processes on this machine (as many as it has cores)",
     )
     group.add_argument(
         "--scheduler", metavar="ADDRESS", help="Dask scheduler to use, as tcp://host:8786"

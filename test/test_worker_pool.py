@@ -1,0 +1,58 @@
+"""Worker processes: what comes back and in which order, and what the death of one costs."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
+
+import pytest
+
+from support.pool_tasks import interrupts_are_held_back, square, stay
+from turbseg_ros.worker_pool import WorkerPool
+
+# Processes start slowly on a busy machine.
+pytestmark = pytest.mark.timeout(240)
+TIMEOUT = 100.0
+
+
+def test_results_come_in_the_order_of_the_items() -> None:
+    with WorkerPool(2) as pool:
+        assert [future.result() for future in pool.run(square, range(6))] == [0, 1, 4, 9, 16, 25]
+        assert [future.result() for future in pool.run(square, [7])] == [49]
+
+
+def test_a_worker_that_dies_costs_its_task_only() -> None:
+    with WorkerPool(2) as pool:
+        futures = list(pool.run(square, [0, -1, 2, -3, 13, 5, 6]))
+    errors = [type(future.exception()) for future in futures]
+    fine = type(None)
+    assert errors == [fine, BrokenProcessPool, fine, BrokenProcessPool, ValueError, fine, fine]
+    assert [futures[number].result() for number in (0, 2, 5, 6)] == [0, 4, 25, 36]
+
+
+def test_interrupts_from_the_terminal_do_not_reach_workers() -> None:
+    with WorkerPool(1) as pool:
+        assert [each.result() for each in pool.run(interrupts_are_held_back, [0])] == [True]
+
+
+def test_an_exception_ends_workers_at_once(tmp_path: Path) -> None:
+    marks = [tmp_path / name for name in ("one", "two")]
+
+    def wait_for_both() -> None:
+        until = time.monotonic() + TIMEOUT
+        while not all(mark.exists() for mark in marks) and time.monotonic() < until:
+            time.sleep(0.01)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    waiting = threading.Thread(target=wait_for_both)
+    waiting.start()
+    with pytest.raises(KeyboardInterrupt), WorkerPool(2) as pool:
+        list(pool.run(stay, marks))
+    waiting.join()
+    for mark in marks:
+        with pytest.raises(ProcessLookupError):
+            os.kill(int(mark.read_text()), 0)
