@@ -445,13 +445,13 @@ class TrackingParameters:
         used_when=_KALMAN,
         former_names=("tracking.confirmation",),
     )
-    travel: float = parameter(
+    false_alarms_per_hour: float = parameter(
         1.0,
-        "Way that something must come to become an object, at outline resolution, plus twice the "
-        "tilt.",
-        unit="px",
-        minimum=0.0,
-        maximum=100.0,
+        "How often what only shimmers may be taken for an object: the lower, the further "
+        "something must come against its own jitter and what its place moves by anyway.",
+        unit="1/h",
+        minimum=1e-6,
+        maximum=1e6,
         used_when=_KALMAN,
     )
     max_age: int = parameter(
