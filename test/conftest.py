@@ -8,12 +8,17 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
+import hypothesis
 import pytest
 from rclpy.context import Context
 
 # It logs for good to what is standard error at the moment: later, that of a single test.
 with contextlib.suppress(ImportError):
     importlib.import_module("distributed")
+
+# How long an example takes depends on what else the machine does.
+hypothesis.settings.register_profile("any machine", deadline=None)
+hypothesis.settings.load_profile("any machine")
 
 # Localhost only, and a domain that another run on this machine hardly has too. Set before
 # anything starts ROS, and inherited by every process that a test starts.

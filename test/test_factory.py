@@ -41,7 +41,11 @@ class FromHundred(KalmanTracker):
     def __init__(self, parameters):
         tracking = parameters.tracking
         super().__init__(
-            tracking.min_hits, tracking.travel, tracking.max_age, parameters.max_objects, 4
+            tracking.min_hits,
+            tracking.false_alarms_per_hour,
+            tracking.max_age,
+            parameters.max_objects,
+            4,
         )
         self._next_id = 100
 

@@ -93,7 +93,7 @@ def test_what_is_idle_changes_nothing(
         ("flow.average", "mean", {}),
         ("flow.variational_iterations", 5, {}),
         ("latency.warm_up", 0, {}),
-        ("tracking.travel", 100.0, {}),
+        ("tracking.min_hits", 30, {}),
         ("latency.coast_from", 0, {}),
         ("latency.sparse_from", 0, {}),
     ],

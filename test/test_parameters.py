@@ -213,3 +213,8 @@ def test_a_former_name_is_taken_with_one_warning(
         assert former not in values
     (record,) = caplog.records
     assert f"{former} is called {FORMER[former]} now" in record.getMessage()
+
+
+def test_a_parameter_that_is_gone_is_answered_with_what_has_taken_its_place() -> None:
+    with pytest.raises(UnknownParameterError, match=r"tracking\.false_alarms_per_hour has taken"):
+        Parameters().replace({"tracking.travel": 2.0})

@@ -147,7 +147,7 @@ def _kalman_tracker(parameters: Parameters) -> KalmanTracker:
     tracking = parameters.tracking
     return KalmanTracker(
         min_hits=tracking.min_hits,
-        travel=tracking.travel,
+        false_alarms_per_hour=tracking.false_alarms_per_hour,
         max_age=tracking.max_age,
         slots=parameters.max_objects,
         every=parameters.flow.every,

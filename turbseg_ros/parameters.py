@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import functools
 import logging
 import re
 from collections.abc import Iterator, Mapping
@@ -28,6 +29,8 @@ UsedWhen = Mapping[str, tuple[Value, ...]]
 _LOGGER = logging.getLogger(__name__)
 # Former names of parameters that were warned about.
 _warned_of: set[str] = set()
+# Parameters that are gone, and what others do in their place.
+_REPLACED = {"tracking.travel": "tracking.false_alarms_per_hour"}
 # Names every ROS node has, which are the middleware's business and not ours.
 _MIDDLEWARE_NAMES = ("use_sim_time", "qos_overrides", "start_type_description_service")
 
@@ -445,13 +448,13 @@ class TrackingParameters:
         used_when=_KALMAN,
         former_names=("tracking.confirmation",),
     )
-    travel: float = parameter(
+    false_alarms_per_hour: float = parameter(
         1.0,
-        "Way that something must come to become an object, at outline resolution, plus twice the "
-        "tilt.",
-        unit="px",
-        minimum=0.0,
-        maximum=100.0,
+        "How often what only shimmers may be taken for an object: the lower, the further "
+        "something must come against its own jitter and what its place moves by anyway.",
+        unit="1/h",
+        minimum=1e-6,
+        maximum=1e6,
         used_when=_KALMAN,
     )
     max_age: int = parameter(
@@ -630,6 +633,7 @@ class Parameters:
         return {name: value for name, _, value in _walk(self)}
 
 
+@functools.cache
 def declarations() -> tuple[Declaration, ...]:
     """Return every parameter's declaration, in order."""
     return tuple(
@@ -691,6 +695,8 @@ def _with_value(group: Any, path: list[str], value: Value) -> Any:
 
 
 def _suggestion(name: str, known: Mapping[str, Declaration]) -> str:
+    if name in _REPLACED:
+        return f": {_REPLACED[name]} has taken its place"
     # Who mistypes a former name is told the present one.
     present = {former: d.name for d in known.values() for former in d.former_names}
     near = difflib.get_close_matches(name, [*known, *present], n=1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,7 @@ PLAIN = np.full((480, 864, 1), 128, np.uint8)
 def tracker_of(**changes: Any) -> KalmanTracker:
     known: dict[str, Any] = {
         "min_hits": CONFIRMATION,
-        "travel": 1.0,
+        "false_alarms_per_hour": 1.0,
         "max_age": PATIENCE,
         "slots": SLOTS,
     }
@@ -110,7 +111,7 @@ def test_an_object_keeps_its_id_at_constant_velocity() -> None:
 
 def test_an_object_is_known_once_it_was_seen_often_enough() -> None:
     for min_hits in (1, 2, 6):
-        tracker = tracker_of(min_hits=min_hits, travel=0.0)
+        tracker = tracker_of(min_hits=min_hits, false_alarms_per_hour=1e6)
         assert tracker.delay == min_hits - 1
         for frame in range(min_hits):
             detection = crossing(frame, (5, 30), (3, 0))
@@ -210,10 +211,43 @@ def swaying(frame: int, reach: float) -> Detection:
     return seen(60 + reach * np.sin(phase), 30, (speed * np.cos(phase), 0.0))
 
 
-def test_what_sways_by_less_than_the_wanted_travel_never_becomes_an_object() -> None:
-    tracker = tracker_of(travel=5.0)
+def test_what_sways_at_a_place_known_to_be_restless_never_becomes_an_object() -> None:
+    tracker = tracker_of()
     for frame in range(80):
-        assert not only(update(tracker, [swaying(frame, reach=2.0)])).track.confirmed
+        detection = replace(swaying(frame, reach=2.0), clutter=0.7)
+        assert not only(update(tracker, [detection])).track.confirmed
+
+
+def confirmed_at(detections: Iterable[Detection], **changes: float) -> int | None:
+    """The frame in which what is seen becomes an object, None if in none."""
+    tracker = tracker_of(**changes)
+    for frame, detection in enumerate(detections):
+        if only(update(tracker, [detection])).track.confirmed:
+            return frame
+    return None
+
+
+def creeping(clutter: float = 0.0) -> list[Detection]:
+    slowly = [crossing(k, (20.0, 20.0), (1.0, 0.0)) for k in range(60)]
+    return [replace(detection, clutter=clutter) for detection in slowly]
+
+
+def test_it_takes_longer_where_the_place_is_restless_and_where_alarms_must_be_rarer() -> None:
+    calm, restless = confirmed_at(creeping()), confirmed_at(creeping(clutter=0.6))
+    careful = confirmed_at(creeping(clutter=0.6), false_alarms_per_hour=1e-6)
+    assert calm is not None
+    assert restless is not None
+    assert careful is not None
+    assert calm < restless < careful
+
+
+def test_a_place_that_jumps_must_be_seen_twice_as_often_but_not_at_the_border() -> None:
+    flickering = [seen(20.0 + 2 * k, 20.0 + 3 * (k % 2), (2.0, 0.0)) for k in range(16)]
+    entering = [replace(detection, cut_off=True) for detection in flickering]
+    at_once, late = confirmed_at(entering), confirmed_at(flickering)
+    assert at_once is not None
+    assert late is not None
+    assert late >= 2 * CONFIRMATION - 1 > at_once
 
 
 def test_what_sways_widely_is_no_object_for_long() -> None:
@@ -485,7 +519,7 @@ def test_what_was_not_found_comes_no_nearer_to_being_an_object_while_it_is_carri
 @given(seed=st.integers(0, 10_000))
 def test_whatever_is_seen_ids_and_slots_are_unique(seed: int) -> None:
     random = np.random.default_rng(seed)
-    tracker = tracker_of(min_hits=2, travel=0.0, max_age=3)
+    tracker = tracker_of(min_hits=2, false_alarms_per_hour=1e6, max_age=3)
     ids_of: dict[int, int] = {}
     tracks = []
     for _ in range(20):

@@ -369,7 +369,7 @@ def test_ids_go_on_after_a_reset_and_other_parameters() -> None:
 def test_other_parameters_are_followed() -> None:
     segmenter = segmenter_by_rules(PARAMETERS)
     pushed(segmenter)
-    segmenter.reconfigure(PARAMETERS.replace({"tracking.travel": 100.0}))
+    segmenter.reconfigure(PARAMETERS.replace({"tracking.min_hits": 30}))
     assert not ids(pushed(segmenter) + segmenter.flush())
 
 

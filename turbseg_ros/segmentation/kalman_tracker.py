@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -11,6 +11,7 @@ from scipy.optimize import linear_sum_assignment
 from turbseg_ros.arrays import ByteImage, Matrix, Point
 from turbseg_ros.segmentation.cropped_mask import EMPTY_MASK, CroppedMask
 from turbseg_ros.segmentation.occlusion import DepthOrder, Portrait, divided_among
+from turbseg_ros.segmentation.significance import chance_per_test, jitter, significant_way
 from turbseg_ros.segmentation.track import (
     SHAPE_SPAN,
     Detection,
@@ -34,6 +35,11 @@ _HONESTY = 0.35
 # Least IoU of a mask with the one before, moved along, on average over the frames of confirmation
 # and, for an object, over a longer span: leaves and waves change their shape all the time.
 _LIKE = 0.4
+# Share of the tilt that a centroid jitters by: over an object's pixels it cancels in part.
+_SHARED_TILT = 0.35
+# Times what is usual by which a track's place jitters when it flickers, the least tilt in pixels
+# that counts there, and times as often that it must be seen then to become an object.
+_FLICKER, _MIN_TILT, _FLICKER_HITS = 2.0, 0.2, 2
 # Share of its size that an object must have come to be surely no restless place.
 _TRAVELLED = 0.5
 # Frames for which the place of one that got nowhere is remembered.
@@ -65,19 +71,24 @@ class KalmanTracker:
     """
 
     def __init__(
-        self, min_hits: int, travel: float, max_age: int, slots: int, every: int = 1
+        self,
+        min_hits: int,
+        false_alarms_per_hour: float,
+        max_age: int,
+        slots: int,
+        every: int = 1,
     ) -> None:
         """Set up a tracker without tracks.
 
         :param min_hits: frames in which a track must be seen to become an object.
-        :param travel: distance in pixels that it must have come, plus twice the tilt.
+        :param false_alarms_per_hour: how often what only shimmers may become an object.
         :param max_age: frames that an object may be lost, or stand still, before it ends.
         :param slots: number of output slots.
         :param every: every how many frames motion is measured; only then it may become an object.
         """
         self._every = every
         self._min_hits = min_hits
-        self._travel = travel
+        self._false_alarms_per_hour = false_alarms_per_hour
         self._max_age = max_age
         self._free_slots = list(range(slots))
         self._tracks: list[Track] = []
@@ -215,7 +226,7 @@ class KalmanTracker:
                 continue
             parts = divided_among(detection.outline, claiming, image, tilt, self._depth_order)
             for track, part in parts.items():
-                seen = Detection(part.box, part.mask, track.velocity, detection.moving)
+                seen = replace(detection, box=part.box, mask=part.mask, velocity=track.velocity)
                 divided.setdefault(track, []).append(seen)
         return divided, whole
 
@@ -281,7 +292,9 @@ class KalmanTracker:
             return
         if not track.keeps_shape(max(self._min_hits - 1, 1), _LIKE):
             return
-        wanted = max(self._travel + 2.0 * tilt, _HONESTY * sum(track.claims))
+        if track.hits < _FLICKER_HITS * self._min_hits and _flickers(track, tilt):
+            return
+        wanted = max(self._significant_way(track, tilt), _HONESTY * sum(track.claims))
         if any(place.holds(track.birthplace) for place in self._restless):
             wanted = max(wanted, track.size)
         if track.travelled < wanted:
@@ -291,6 +304,20 @@ class KalmanTracker:
         self._next_id += 1
         if self._free_slots:
             track.slot = self._free_slots.pop(0)
+
+    def _significant_way(self, track: Track, tilt: float) -> float:
+        """Return the way that a track must have come, for chance makes a longer one too seldom."""
+        tests = sum(not other.confirmed for other in self._tracks)
+        usual = jitter([], _SHARED_TILT * tilt)
+        own = usual if track.detection.cut_off else jitter(track.sightings, usual)
+        return significant_way(
+            # An outline that is mended jumps, too.
+            jitter=min(own, _FLICKER * usual),
+            clutter=float(np.sqrt(np.mean(np.square(track.clutter)))),
+            frames=track.hits,
+            steady=self._every,
+            chance=chance_per_test(self._false_alarms_per_hour, self._every, tests),
+        )
 
     def _drop_lost(self) -> None:
         restless = [track for track in self._tracks if track.gets_nowhere()]
@@ -311,6 +338,16 @@ class KalmanTracker:
     def _end(self, track: Track) -> None:
         if track.slot >= 0:
             self._free_slots = sorted([*self._free_slots, track.slot])
+
+
+def _flickers(track: Track, tilt: float) -> bool:
+    """Whether a track's place jumps by more than the air makes it.
+
+    What enters or leaves the picture changes its middle without that.
+    """
+    if track.detection.cut_off:
+        return False
+    return jitter(track.sightings, tilt) > _FLICKER * max(tilt, _MIN_TILT)
 
 
 def _has_claim(expected: CroppedMask, detection: Detection) -> bool:

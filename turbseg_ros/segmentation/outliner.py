@@ -8,11 +8,12 @@ from typing import Protocol
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from turbseg_ros.arrays import Mask, Matrix
 from turbseg_ros.segmentation.areas import MovingArea
 from turbseg_ros.segmentation.background import AlignedFrame, MaskedImage, with_objects_masked
-from turbseg_ros.segmentation.clutter import enlarged
+from turbseg_ros.segmentation.clutter import CELL, enlarged
 from turbseg_ros.segmentation.cropped_mask import EMPTY_MASK, CroppedMask, union_mask
 from turbseg_ros.segmentation.exposure import AS_IT_IS, Exposure, exposure_between
 from turbseg_ros.segmentation.foreground import ObjectCrop, foreground_masks, object_crops
@@ -29,11 +30,15 @@ GUARD = 2
 """Detail pixels by which objects are dilated before what is left counts as background."""
 # Smallest outline, in detail pixels.
 _MIN_OUTLINE = 12
+# Pixels at processing resolution within which an outline reaches the border of what is seen.
+_BORDER = 8
 # Share of an outline that must be scene, not burnt into the picture.
 _MIN_SCENE = 0.5
 # A known object counts as resting when motion was found on less than this share of it.
 _RESTING = 0.6
 
+Pixels = npt.NDArray[np.intp]
+"""Rows, or columns, of pixels."""
 Crops = Callable[[], Sequence[ObjectCrop]]
 """Gathers the crops in which objects are to be looked for; that costs some time."""
 
@@ -239,9 +244,29 @@ def _detection(
     column = np.minimum(((x + outline.box.x0) / scale_x).astype(int), width - 1)
     row = np.minimum(((y + outline.box.y0) / scale_y).astype(int), height - 1)
     vx, vy = np.median(motion.velocity[row, column], axis=0)
+    clutter = 0.0
+    if motion.clutter is not None:
+        rows, columns = motion.clutter.shape
+        cell = np.minimum(row // CELL, rows - 1), np.minimum(column // CELL, columns - 1)
+        clutter = float(motion.clutter[cell].mean()) * max(scale_x, scale_y)
     return Detection(
         box=outline.box,
         mask=outline.mask,
         velocity=(float(vx) * scale_x, float(vy) * scale_y),
         moving=bool((outline.mask & moving[outline.box.slices]).any()),
+        clutter=clutter,
+        cut_off=_is_cut_off(row, column, motion.visible),
     )
+
+
+def _is_cut_off(row: Pixels, column: Pixels, visible: Mask) -> bool:
+    """Whether pixels reach the border of what neighbours see, HxW."""
+    height, width = visible.shape
+    top, bottom, left, right = row.min(), row.max(), column.min(), column.max()
+    if min(top, left) < _BORDER or bottom >= height - _BORDER or right >= width - _BORDER:
+        return True
+    around = visible[
+        top - _BORDER : bottom + _BORDER + 1 : _BORDER // 2,
+        left - _BORDER : right + _BORDER + 1 : _BORDER // 2,
+    ]
+    return not bool(around.all())

@@ -7,7 +7,7 @@ ego-motion, so that velocities are against the scene.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import cv2
@@ -35,13 +35,17 @@ class Detection:
     """A silhouette that may be an object: hxw mask within its box, and how it moves.
 
     `velocity` is in pixels a frame against the scene; `moving` tells whether motion was found in
-    this frame, or only an outline that stands out where an object is known to be.
+    this frame, or only an outline that stands out where an object is known to be. `clutter` is
+    what its place is known to move by without anything being there, in pixels a frame; `cut_off`
+    tells whether it reaches the border of what can be seen.
     """
 
     box: Box
     mask: Mask
     velocity: tuple[float, float]
     moving: bool
+    clutter: float = 0.0
+    cut_off: bool = False
 
     @property
     def outline(self) -> CroppedMask:
@@ -67,6 +71,7 @@ class Track:
 
     `detection` is what was seen of it last, when its centroid, hidden parts included, was at
     `seen_at`; `portrait` is what it looked like when last seen whole, None until it is an object.
+    `sightings` are its centroids, `clutter` what their places move by, the oldest first.
     """
 
     detection: Detection
@@ -82,6 +87,8 @@ class Track:
     claims: list[float] = field(default_factory=list)
     likeness: list[float] = field(default_factory=list)
     confirmed: bool = False
+    sightings: list[Point] = field(default_factory=list)
+    clutter: list[float] = field(default_factory=list)
     trail: list[Point] = field(default_factory=list)
 
     @classmethod
@@ -91,7 +98,14 @@ class Track:
         :param tilt: rms turbulent motion an axis in pixels.
         """
         centroid = detection.centroid
-        return cls(detection, _kalman_at(detection, tilt), birthplace=centroid, seen_at=centroid)
+        return cls(
+            detection,
+            _kalman_at(detection, tilt),
+            birthplace=centroid,
+            seen_at=centroid,
+            sightings=[centroid],
+            clutter=[detection.clutter],
+        )
 
     @property
     def position(self) -> Point:
@@ -141,6 +155,7 @@ class Track:
         self.kalman.predict()
         self.birthplace = linear @ self.birthplace + ego_motion[:2, 2]
         self.trail = [linear @ point + ego_motion[:2, 2] for point in self.trail]
+        self.sightings = [linear @ point + ego_motion[:2, 2] for point in self.sightings]
 
     def correct(self, detection: Detection) -> None:
         """Take the detection that stands for it in this frame."""
@@ -174,6 +189,8 @@ class Track:
 
     def _see(self, detection: Detection, centroid: Point) -> None:
         self.detection, self.seen_at = detection, centroid
+        self.sightings = [*self.sightings, centroid][-_TRAIL_LENGTH:]
+        self.clutter = [*self.clutter, detection.clutter][-_TRAIL_LENGTH:]
         self.hits += 1
         self.claims = [*self.claims, float(np.hypot(*detection.velocity))][-_TRAIL_LENGTH:]
         self.still = 0 if detection.moving else self.still + 1
@@ -309,7 +326,13 @@ def joined(parts: Sequence[Detection]) -> Detection:
     for part in parts:
         mask[part.box.moved(-box.x0, -box.y0).slices] |= part.mask
     largest = max(parts, key=lambda part: part.area)
-    return Detection(box, mask, largest.velocity, any(part.moving for part in parts))
+    return replace(
+        largest,
+        box=box,
+        mask=mask,
+        moving=any(part.moving for part in parts),
+        cut_off=any(part.cut_off for part in parts),
+    )
 
 
 def _kalman_at(detection: Detection, tilt: float) -> cv2.KalmanFilter:
