@@ -44,6 +44,8 @@ _PACKAGES = {
     "mcap": _MCAP,
     "zstandard": _MCAP,
     "lz4": _MCAP,
+    "rosbags": _Package("reads bags in SQLite and of ROS 1", ["rosbags"]),
+    "av": _Package("decodes video", ["av"], "python3-av"),
     "jinja2": _Package("writes reports and curves", ["jinja2"], "python3-jinja2"),
     "distributed": _Package("talks to Dask's scheduler", ["distributed"]),
     "torch": _LEARNING,

@@ -35,6 +35,7 @@ from turbseg_ros.bag.reader import BagReader
 from turbseg_ros.bag.rosbags_file import ros1_converter
 from turbseg_ros.bag.schema import canonical_type_name, message_definition
 from turbseg_ros.bag.writer import BagWriter
+from turbseg_ros.dependencies import how_to_install
 from turbseg_ros.messages.images import image_from_message, message_from_image
 
 IMAGE = "sensor_msgs/msg/Image"
@@ -619,7 +620,7 @@ def test_an_mcap_file_of_ros_1_is_read(tmp_path: Path) -> None:
     [
         (lambda path: write_sqlite(path / "bag"), "ros2 bag convert -i"),
         (lambda path: write_ros1(path / "old.bag"), "rosbags-convert --src"),
-        (lambda path: write_ros1_mcap(path / "old.mcap"), "pip install rosbags"),
+        (lambda path: write_ros1_mcap(path / "old.mcap"), "to read it as it is"),
     ],
     ids=["sqlite", "ROS 1", "MCAP of ROS 1"],
 )
@@ -631,7 +632,7 @@ def test_without_rosbags_a_line_says_how_to_convert(
     with pytest.raises(BagError) as error:
         BagReader(bag)
     assert command in str(error.value)
-    assert "pip install rosbags" in str(error.value)
+    assert how_to_install("rosbags") in str(error.value)
     assert "\n" not in str(error.value)
 
 

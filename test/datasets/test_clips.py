@@ -14,6 +14,7 @@ import pytest
 from turbseg_ros.bag.reader import BagReader
 from turbseg_ros.cli.import_ import main
 from turbseg_ros.datasets.video import VideoFile, open_video
+from turbseg_ros.dependencies import how_to_install
 from turbseg_ros.messages.images import image_from_message
 
 SHAPE = (48, 64)
@@ -129,7 +130,7 @@ def test_what_opencv_cuts_to_8_bits_is_said_without_pyav(
     _, _, encodings = imported(video, tmp_path / "bag")
     assert encodings == {"mono8"}
     said = capsys.readouterr().err
-    assert f"deep.mkv: {bits} bits a channel become 8; 'pip install av'" in said
+    assert f"deep.mkv: {bits} bits a channel become 8; '{how_to_install('av')}'" in said
     assert said.count("\n") == 1
 
 

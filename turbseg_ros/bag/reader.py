@@ -29,6 +29,7 @@ from turbseg_ros.bag.rosbags_file import (
     ros1_converter,
 )
 from turbseg_ros.bag.topics import is_result
+from turbseg_ros.dependencies import how_to_install
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -255,7 +256,7 @@ def _is_readable(path: Path, stream: Stream) -> bool:
         return ros1_converter(stream.type_name, stream.ros1_definition) is not None
     except ImportError as error:
         raise BagError(
-            f"{path} was recorded by ROS 1; 'pip install rosbags' to read it as it is"
+            f"{path} was recorded by ROS 1; '{how_to_install('rosbags')}' to read it as it is"
         ) from error
 
 

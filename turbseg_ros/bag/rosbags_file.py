@@ -18,6 +18,7 @@ import yaml
 from turbseg_ros.bag.errors import BagError
 from turbseg_ros.bag.records import Stream
 from turbseg_ros.bag.schema import canonical_type_name
+from turbseg_ros.dependencies import how_to_install
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -187,8 +188,8 @@ def _qos(connection: Any) -> str:
 def _how_to_read(path: Path, content: Path) -> str:
     what = "was recorded by ROS 1" if _is_ros1(content) else "is stored as sqlite3"
     return (
-        f"{path} {what}: 'pip install rosbags' to read it as it is, or convert it with "
-        f"{_conversion(path, content)}"
+        f"{path} {what}: '{how_to_install('rosbags')}' to read it as it is, or convert it "
+        f"with {_conversion(path, content)}"
     )
 
 

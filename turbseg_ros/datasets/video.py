@@ -15,6 +15,7 @@ import numpy as np
 
 from turbseg_ros.arrays import Image
 from turbseg_ros.bag.errors import ClipError
+from turbseg_ros.dependencies import how_to_install
 from turbseg_ros.messages.video import array_of
 
 # Bits of each channel are the last character of FFmpeg's name for a format of pixels, or the
@@ -71,7 +72,8 @@ class VideoFile:
         if self.depth <= 8 or self._keeps_depth:
             return []
         return [
-            f"{self.path}: {self.depth} bits a channel become 8; 'pip install av' to keep them all"
+            f"{self.path}: {self.depth} bits a channel become 8; '{how_to_install('av')}' to keep "
+            "them all"
         ]
 
     @property

@@ -1,4 +1,4 @@
-"""Video packets in messages, decoded by PyAV where it is installed (`pip install av`)."""
+"""Video packets in messages, decoded by PyAV where it is installed."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from std_msgs.msg import Header
 
 from turbseg_ros.arrays import Image
+from turbseg_ros.dependencies import how_to_install
 from turbseg_ros.messages.cdr import (
     CompressedImageView,
     SerialisedDataError,
@@ -58,9 +59,10 @@ def how_to_read_video(topic: str, type_name: str) -> str:
     """Return the line that says what to do where PyAV isn't installed."""
     transport = VIDEO_TRANSPORTS.get(type_name, "compressed")
     return (
-        f"{topic} holds video packets: 'pip install av' to read them as they are, or make images "
-        f"of them with 'ros2 run image_transport republish --ros-args -p in_transport:={transport}"
-        f" -p out_transport:=raw -r in/{transport}:={topic} -r out:=/camera/image_raw'"
+        f"{topic} holds video packets: '{how_to_install('av')}' to read them as they are, or make "
+        "images of them with 'ros2 run image_transport republish --ros-args "
+        f"-p in_transport:={transport} -p out_transport:=raw "
+        f"-r in/{transport}:={topic} -r out:=/camera/image_raw'"
     )
 
 

@@ -42,7 +42,7 @@ def build_parser() -> argparse.ArgumentParser:
         description="Segment bags and score the results against the truth that the bags hold.",
     )
     parser.add_argument(
-        "bags", nargs="+", type=Path, metavar="BAG", help="rosbag2 directory or MCAP file"
+        "bags", nargs="+", type=Path, metavar="BAG", help="rosbag2 directory, or one file"
     )
     parser.add_argument(
         "--image-topic", metavar="T", help="images to segment, where bags have several topics"

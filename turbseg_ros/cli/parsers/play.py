@@ -16,7 +16,7 @@ def build_parser() -> argparse.ArgumentParser:
         epilog="ROS arguments follow --ros-args: -r /camera/image_raw:=TOPIC. "
         "The service /turbseg_play/pause (std_srvs/SetBool) pauses and resumes.",
     )
-    parser.add_argument("bag", type=Path, metavar="BAG", help="rosbag2 directory or MCAP file")
+    parser.add_argument("bag", type=Path, metavar="BAG", help="rosbag2 directory, or one file")
     parser.add_argument(
         "--rate", type=positive_number, default=1.0, metavar="R", help="times as fast (default: 1)"
     )

@@ -14,7 +14,7 @@ def build_parser() -> argparse.ArgumentParser:
         prog="turbseg_replay",
         description="Segment every frame of a bag and write the node's topics into another bag.",
     )
-    parser.add_argument("bag", type=Path, metavar="BAG", help="rosbag2 directory or MCAP file")
+    parser.add_argument("bag", type=Path, metavar="BAG", help="rosbag2 directory, or one file")
     parser.add_argument(
         "-o", "--out", type=Path, required=True, metavar="OUT", help="bag to be written"
     )

@@ -13,7 +13,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser = command_parser(
         prog="stages", description="Draw what each stage of the method makes of one frame."
     )
-    parser.add_argument("bag", type=Path, metavar="BAG", help="rosbag2 directory or MCAP file")
+    parser.add_argument("bag", type=Path, metavar="BAG", help="rosbag2 directory, or one file")
     parser.add_argument(
         "-o",
         "--out",
