@@ -13,7 +13,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from sensor_msgs.msg import CompressedImage
 from std_srvs.srv import SetBool, Trigger
-from visualization_msgs.msg import MarkerArray
+from visualization_msgs.msg import Marker, MarkerArray
 
 from support.node_harness import (
     BEST_EFFORT,
@@ -49,7 +49,8 @@ def probe() -> Iterator[Probe]:
 
 def answered(centroids: list[MarkerArray]) -> list[int]:
     """Return the stamps of the frames that were answered: the stub sees an object in each."""
-    return stamps_of(array.markers[0] for array in centroids)
+    shown = (array.markers[0] for array in centroids)
+    return stamps_of(marker for marker in shown if marker.action == Marker.ADD)
 
 
 @pytest.mark.parametrize(
@@ -203,6 +204,12 @@ def test_silence_names_the_images_that_there_are(tmp_path, probe, topic, told):
     assert "[WARN]" in warning
     assert told in warning
     assert f"-r image_raw:={topic} -p image_transport:=compressed" in warning
+    # As it says.
+    _, _, arguments = warning.rpartition("take it with ")
+    if arguments != warning:
+        with stub_node(tmp_path / "again", "-r", "__ns:=/mute", *arguments.split()) as node:
+            probe.wait_for(publisher.get_subscription_count, "a subscription")
+            assert node.stop(signal.SIGINT) == 0
     # Its own outputs are no cameras.
     assert "turbseg/" not in warning.partition("no image")[2]
     status = diagnostics[-1].status[0]

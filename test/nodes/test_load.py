@@ -63,7 +63,8 @@ def test_full_hd_at_30_hz_is_answered_frame_by_frame(tmp_path, probe, seconds):
         shown = figures(diagnostics)
         assert node.stop(signal.SIGINT) == 0
     print(f"{cost:.1f} ms of processor time a frame; {latencies(diagnostics)}")
-    assert [stamps_of(array.markers)[0] for array in centroids] == stamps
+    # Deletions follow the last one.
+    assert [stamps_of(array.markers)[0] for array in centroids[:frames]] == stamps
     assert shown["images dropped"] == shown["images lost by the middleware"] == "0"
     assert labels.count > 0
 

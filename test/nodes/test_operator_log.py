@@ -185,7 +185,8 @@ def test_a_misspelt_topic_is_answered_by_the_one_most_like_it() -> None:
             "/c/image_raw",
             IMAGE_TYPE,
             COMPRESSED_TYPE,
-            "-r image_raw/compressed:=/c/image_raw -p image_transport:=compressed",
+            "-r image_raw:=/c/image_raw -p image_transport:=compressed "
+            "-r /c/image_raw/compressed:=/c/image_raw",
         ),
         (
             "/c/image_raw/compressed",

@@ -137,6 +137,13 @@ def test_topics_agree_on_what_was_found(camera, labels, probe):
 
     stamps = Camera(probe).play(moving_square(40), answers=everything)
     probe.wait_for(lambda: all(len(topic) >= 40 for topic in everything), "all topics")
+    # What is shown is taken away whenever the stream pauses.
+    annotations[:] = [each for each in annotations if each.action == ImageMarker.ADD]
+    centroids[:] = [
+        each
+        for each in centroids
+        if not each.markers or any(marker.action == Marker.ADD for marker in each.markers)
+    ]
     for topic in stamped:
         assert stamps_of(topic) == stamps
     # Markers carry no stamp when nothing is shown: an early one may have come late.
@@ -487,12 +494,14 @@ def test_a_nodes_labels_are_those_of_the_replay(tmp_path, probe):
         with subprocess.Popen(player) as play:
             probe.wait_for(lambda: play.poll() is not None, "the player's end")
         for name, messages in live.items():
-            probe.wait_for(lambda messages=messages: len(messages) == 40, f"all of {name}")
+            probe.wait_for(lambda messages=messages: len(messages) >= 40, f"all of {name}")
         assert node.stop(signal.SIGINT) == 0
     assert any(image_from_message(label).any() for label in live["labels"])
     for name, messages in live.items():
         expected = [record.message() for record in replayed.messages([f"/turbseg/{name}"])]
-        assert messages == expected
+        # Live, what is shown is taken away at the end.
+        assert messages[:40] == expected
+        assert len(messages) <= 40 + (name in ("centroids", "annotations"))
 
 
 def test_two_nodes_in_namespaces_each_take_their_part_of_one_file(tmp_path, probe):

@@ -102,9 +102,9 @@ def patience_for(period: float) -> float:
 class StreamMonitor:
     """Judges the frames of one camera in the order in which they arrive.
 
-    Stamps tell when frames were taken, as long as they do: a stamp of 0 that comes twice, one that
-    repeats with another picture, or many that go back say nothing. The time of arrival stands in
-    for them then.
+    Stamps tell when frames were taken, as long as they do: a stamp of 0 that comes twice, and some
+    that repeat with another picture or go back a little, say nothing. The time of arrival stands
+    in for them then.
     """
 
     def __init__(self) -> None:
@@ -153,6 +153,9 @@ class StreamMonitor:
         step, time = self._step(last, frame, arrival, received)
         continuity, reason = self._compare(last.frame, frame, step, after_drops)
         if continuity.action is Action.SKIP:
+            if frame.stamp:
+                # It came all the same: no pause.
+                self._last = replace(last, arrival=arrival, received=received)
             return Verdict(continuity, frame, reason)
         restarts = continuity.action is Action.RESTART
         if restarts:
@@ -183,11 +186,9 @@ class StreamMonitor:
         """Return by how many seconds a frame follows the last one, and when it was taken."""
         told_before = self._stamps_tell
         arrival_step = max(arrival - last.arrival, 1)
-        says_something = self._weigh(last.frame, frame, arrival_step / _NANOSECONDS)
+        self._weigh(last.frame, frame, arrival_step / _NANOSECONDS)
         if self._stamps_tell and told_before:
-            if says_something:
-                return (frame.stamp - last.frame.stamp) / _NANOSECONDS, frame.stamp
-            return arrival_step / _NANOSECONDS, last.time + arrival_step
+            return (frame.stamp - last.frame.stamp) / _NANOSECONDS, frame.stamp
         time = frame.stamp if self._stamps_tell else received
         if self._stamps_tell != told_before:
             # Two clocks: only arrivals can be compared.
@@ -196,21 +197,20 @@ class StreamMonitor:
         # That two arrive at once, or the clock is set back a little, tells nothing of them.
         return (max(step, 1.0 / _NANOSECONDS) if step >= -_LATE_SECONDS else step), time
 
-    def _weigh(self, last: Frame, frame: Frame, arrival_step: float) -> bool:
-        """Decide whether stamps are believed; return whether this frame's says something."""
+    def _weigh(self, last: Frame, frame: Frame, arrival_step: float) -> None:
+        """Decide whether stamps are believed from now on."""
         step = (frame.stamp - last.stamp) / _NANOSECONDS
         if step == 0.0 and self._stamps_tell and _same_picture(last, frame):
             # The same message twice, unless stamps are not set and nothing happens for long.
             self._stamps_tell = bool(frame.stamp) or arrival_step < _GAP_SECONDS
-            return self._stamps_tell
-        says_something = step != 0.0
+            return
         self._sound.append(step > 0.0 or step < -self._lateness)
         unsound = self._sound.count(False)
         if self._stamps_tell:
-            self._stamps_tell = unsound < _MAX_UNSOUND and (says_something or frame.stamp != 0)
+            not_set = step == 0.0 and frame.stamp == 0
+            self._stamps_tell = unsound < _MAX_UNSOUND and not not_set
         else:
             self._stamps_tell = len(self._sound) == _SOUND_FRAMES and not unsound
-        return says_something
 
     @property
     def _lateness(self) -> float:

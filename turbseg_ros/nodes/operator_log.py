@@ -128,7 +128,8 @@ def _arguments(topic: str, types: Sequence[str]) -> str:
     """Return the arguments with which the node takes the images of a topic."""
     transport = "raw" if IMAGE_TYPE in types else "compressed"
     if transport == "compressed" and not topic.endswith(_COMPRESSED):
-        return f"-r image_raw{_COMPRESSED}:={topic} -p image_transport:=compressed"
+        below = f"{topic}{_COMPRESSED}"
+        return f"-r image_raw:={topic} -p image_transport:=compressed -r {below}:={topic}"
     base = topic if transport == "raw" else topic.removesuffix(_COMPRESSED)
     return f"-r image_raw:={base} -p image_transport:={transport}"
 
