@@ -34,7 +34,7 @@ def taught(
     held: np.ndarray = NOTHING,
 ) -> np.ndarray:
     for field in fields:
-        memory.carry(way)
+        memory.propagate(way)
         level = memory.take(field, NOISE, SEEN, held, EVERY)
     return level
 
@@ -76,7 +76,7 @@ def test_objects_are_not_learned_and_what_is_known_of_their_place_counts_by_half
     memory = ClutterMemory()
     assert taught(memory, restless(40, 0.1), held=held).max() == 0.0
     known = taught(memory, restless(40, 0.1))
-    memory.carry(STILL)
+    memory.propagate(STILL)
     halved = memory.take(moving_by([0, 0], LEFT), NOISE, SEEN, held, EVERY)
     assert halved[:, 4:12].mean() < 0.6 * known[:, 4:12].mean()
 
@@ -87,7 +87,7 @@ def test_it_stays_on_the_scene_when_the_camera_pans(step: float) -> None:
     taught(memory, restless(60, 0.1, LEFT))
     pan = np.array([[1.0, 0.0, step], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
     for _ in range(round(24 / step)):
-        memory.carry(pan)
+        memory.propagate(pan)
     level = memory.take(moving_by([0, 0], LEFT), NOISE, SEEN, NOTHING, EVERY)
     # The restless half has moved by six cells to the right.
     assert level[4:-4, 8:20].mean() > 0.07
@@ -98,7 +98,7 @@ def test_a_new_scene_is_learned_anew() -> None:
     memory = ClutterMemory()
     taught(memory, restless(40, 0.1))
     memory.forget()
-    memory.carry(STILL)
+    memory.propagate(STILL)
     assert memory.take(moving_by([0, 0], LEFT), NOISE, SEEN, NOTHING, EVERY).max() == 0.0
 
 

@@ -268,7 +268,7 @@ def test_what_stands_still_never_becomes_an_object() -> None:
 def test_flow_that_takes_nothing_along_is_no_object() -> None:
     tracker = tracker_of()
     for frame in range(20):
-        # It claims 2 pixels a frame, and comes a quarter of one.
+        # Its flow says 2 pixels a frame, and it comes a quarter of one.
         detection = seen(60 + frame / 4, 30, (2.0, 0.0))
         assert not only(update(tracker, [detection])).track.confirmed
 
@@ -423,7 +423,7 @@ def test_an_object_that_gets_nowhere_ends() -> None:
     tracker = tracker_of()
     follow(tracker, range(8), (5, 30), (3, 0))
     for _ in range(60):
-        # It has stopped, and flow claims that it has not.
+        # It has stopped, and flow says that it has not.
         update(tracker, [seen(26, 30, (3.0, 0.0))])
     assert not tracker.expected_outlines(STILL_CAMERA, (96, 160))
     assert tracker.next_id == 2

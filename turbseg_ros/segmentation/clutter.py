@@ -48,7 +48,7 @@ class ClutterMemory:
         self._count: Map = np.zeros((0, 0), np.float32)
         self._way: Matrix = np.eye(3)
 
-    def carry(self, ego_motion: Matrix | None) -> None:
+    def propagate(self, ego_motion: Matrix | None) -> None:
         """Follow the camera to another frame; to another scene if None.
 
         :param ego_motion: takes processing pixels of the frame before to those of the next.

@@ -29,12 +29,12 @@ _PART = 0.5
 # Share of an object's expected mask, or of the detection if that is smaller, that both must have
 # in common for the object to have a claim to the detection's pixels.
 _CLAIM = 0.1
-# Share of the way its flow claims that a track must really have come to become an object: the
+# Displacement over the way that its flow adds up to, from which a track may be an object: the
 # middle of what enters the picture comes half of it.
-_HONESTY = 0.35
+_CONFIRMED_RATIO = 0.35
 # Least IoU of a mask with the one before, moved along, on average over the frames of confirmation
 # and, for an object, over a longer span: leaves and waves change their shape all the time.
-_LIKE = 0.4
+_MIN_SHAPE_IOU = 0.4
 # Share of the tilt that a centroid jitters by: over an object's pixels it cancels in part.
 _SHARED_TILT = 0.35
 # Times what is usual by which a track's place jitters when it flickers, the least tilt in pixels
@@ -43,11 +43,11 @@ _FLICKER, _MIN_TILT, _FLICKER_HITS = 2.0, 0.2, 2
 # Share of its size that an object must have come to be surely no restless place.
 _TRAVELLED = 0.5
 # Frames for which the place of one that got nowhere is remembered.
-_RESTLESS_SPAN = 300
+_CLUTTER_SPAN = 300
 
 
 @dataclass(frozen=True)
-class _Place:
+class _ClutterSite:
     """A place where something moved and got nowhere: its middle (x, y) and its radius."""
 
     middle: Point
@@ -57,9 +57,9 @@ class _Place:
     def holds(self, point: Point) -> bool:
         return float(np.linalg.norm(point - self.middle)) < self.radius
 
-    def propagated(self, ego_motion: Matrix) -> _Place:
+    def propagated(self, ego_motion: Matrix) -> _ClutterSite:
         middle = ego_motion[:2, :2] @ self.middle + ego_motion[:2, 2]
-        return _Place(middle, self.radius, self.age + 1)
+        return _ClutterSite(middle, self.radius, self.age + 1)
 
 
 class KalmanTracker:
@@ -92,7 +92,7 @@ class KalmanTracker:
         self._max_age = max_age
         self._free_slots = list(range(slots))
         self._tracks: list[Track] = []
-        self._restless: list[_Place] = []
+        self._clutter_sites: list[_ClutterSite] = []
         self._depth_order: DepthOrder[Track] = DepthOrder()
         self._next_id = 1
 
@@ -118,7 +118,7 @@ class KalmanTracker:
         for track in self._tracks:
             self._end(track)
         self._tracks = []
-        self._restless = []
+        self._clutter_sites = []
         self._depth_order = DepthOrder()
 
     def expected_outlines(self, ego_motion: Matrix, shape: tuple[int, int]) -> list[CroppedMask]:
@@ -154,8 +154,8 @@ class KalmanTracker:
         :return: an observation for each track seen in this frame.
         """
         for track in self._tracks:
-            track.carry(ego_motion)
-        self._carry_places(ego_motion)
+            track.propagate(ego_motion)
+        self._propagate_sites(ego_motion)
         divided, detections = self._divided(detections, tilt, image)
         detections = self._reunited(detections, divided)
         observations = self._seen_beside_others(divided)
@@ -189,16 +189,18 @@ class KalmanTracker:
             (track, track.coast(ego_motion, shape))
             for track in self._depth_order.front_to_back(self._tracks)
         ]
-        self._carry_places(ego_motion)
+        self._propagate_sites(ego_motion)
         return [
             track.observed(detection)
             for track, detection in coasted
             if track.misses == 0 and detection.area
         ]
 
-    def _carry_places(self, ego_motion: Matrix) -> None:
-        self._restless = [
-            place.propagated(ego_motion) for place in self._restless if place.age < _RESTLESS_SPAN
+    def _propagate_sites(self, ego_motion: Matrix) -> None:
+        self._clutter_sites = [
+            place.propagated(ego_motion)
+            for place in self._clutter_sites
+            if place.age < _CLUTTER_SPAN
         ]
 
     def _divided(
@@ -290,12 +292,15 @@ class KalmanTracker:
     def _confirm(self, track: Track, tilt: float) -> None:
         if track.confirmed or track.hits < self._min_hits or not track.detection.moving:
             return
-        if not track.keeps_shape(max(self._min_hits - 1, 1), _LIKE):
+        if not track.keeps_shape(max(self._min_hits - 1, 1), _MIN_SHAPE_IOU):
             return
         if track.hits < _FLICKER_HITS * self._min_hits and _flickers(track, tilt):
             return
-        wanted = max(self._significant_way(track, tilt), _HONESTY * sum(track.claims))
-        if any(place.holds(track.birthplace) for place in self._restless):
+        wanted = max(
+            self._significant_way(track, tilt),
+            _CONFIRMED_RATIO * sum(track.flow_speeds),
+        )
+        if any(site.holds(track.birthplace) for site in self._clutter_sites):
             wanted = max(wanted, track.size)
         if track.travelled < wanted:
             return
@@ -320,15 +325,15 @@ class KalmanTracker:
         )
 
     def _drop_lost(self) -> None:
-        restless = [track for track in self._tracks if track.gets_nowhere()]
-        self._restless += [_Place(track.position, track.size) for track in restless]
+        stuck = [track for track in self._tracks if track.gets_nowhere()]
+        self._clutter_sites += [_ClutterSite(track.position, track.size) for track in stuck]
         lost = [
             track
             for track in self._tracks
             if track.misses > (self._max_age if track.confirmed else 1)
             or track.still > self._max_age
-            or track in restless
-            or not track.keeps_shape(SHAPE_SPAN, _LIKE, known=SHAPE_SPAN)
+            or track in stuck
+            or not track.keeps_shape(SHAPE_SPAN, _MIN_SHAPE_IOU, known=SHAPE_SPAN)
         ]
         for track in lost:
             self._end(track)

@@ -28,7 +28,7 @@ class SceneMemory:
         :param ego_motion: takes the processing pixels of the frame measured before to its own.
         """
         for memory in self._clutter:
-            memory.carry(ego_motion)
+            memory.propagate(ego_motion)
 
     def overlay(self, neighbourhood: Neighbourhood, aligned: Mapping[int, ByteImage]) -> Mask:
         """Return which cells, hxw, stand still while the scene moves; see `OverlayMemory`.

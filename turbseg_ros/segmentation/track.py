@@ -19,11 +19,11 @@ from turbseg_ros.segmentation.geometry import translation
 from turbseg_ros.segmentation.occlusion import Portrait
 
 _TRAIL_LENGTH = 60
-# Share of the way its flow claims that an object must really have come, or it ends: flow bleeds
-# past an object's edge, and what sways or ripples gets nowhere.
-_MIN_HONESTY = 0.25
-# Frames over which an object's way is compared with what it claims.
-_HONESTY_SPAN = 24
+# Least displacement over the way that its flow adds up to, or an object ends: flow bleeds past an
+# object's edge, and what sways or ripples gets nowhere.
+_MIN_DISPLACEMENT_RATIO = 0.25
+# Frames over which an object's displacement is compared with its flow's.
+_DISPLACEMENT_SPAN = 24
 # Share of an object that must be seen beside others for its place to be told by that.
 _MIN_VISIBLE = 0.2
 SHAPE_SPAN = 12
@@ -84,8 +84,8 @@ class Track:
     hits: int = 1
     misses: int = 0
     still: int = 0
-    claims: list[float] = field(default_factory=list)
-    likeness: list[float] = field(default_factory=list)
+    flow_speeds: list[float] = field(default_factory=list)
+    shape_ious: list[float] = field(default_factory=list)
     confirmed: bool = False
     sightings: list[Point] = field(default_factory=list)
     clutter: list[float] = field(default_factory=list)
@@ -123,16 +123,16 @@ class Track:
 
         It does while fewer than `known` were compared.
         """
-        recent = self.likeness[-frames:]
+        recent = self.shape_ious[-frames:]
         return len(recent) < known or float(np.mean(recent)) >= least
 
     def gets_nowhere(self) -> bool:
-        """Return whether, for a good while, it has come a small part of the way that it claims."""
-        claimed = sum(self.claims[-_HONESTY_SPAN:])
-        if len(self.trail) < _HONESTY_SPAN or claimed < 0.5 * self.size:
+        """Whether, for a good while, it has come a small part of the way its flow adds up to."""
+        expected = sum(self.flow_speeds[-_DISPLACEMENT_SPAN:])
+        if len(self.trail) < _DISPLACEMENT_SPAN or expected < 0.5 * self.size:
             return False
-        come = float(np.linalg.norm(self.trail[-1] - self.trail[-_HONESTY_SPAN]))
-        return come < _MIN_HONESTY * claimed
+        come = float(np.linalg.norm(self.trail[-1] - self.trail[-_DISPLACEMENT_SPAN]))
+        return come < _MIN_DISPLACEMENT_RATIO * expected
 
     @property
     def velocity(self) -> tuple[float, float]:
@@ -145,7 +145,7 @@ class Track:
         dx, dy = np.rint(self.position - self.seen_at).astype(int)
         return self.detection.box.moved(int(dx), int(dy))
 
-    def carry(self, ego_motion: Matrix) -> None:
+    def propagate(self, ego_motion: Matrix) -> None:
         """Take its state into the next frame: by the ego-motion, then by its velocity."""
         linear = ego_motion[:2, :2]
         state = self.kalman.statePost
@@ -161,7 +161,7 @@ class Track:
         """Take the detection that stands for it in this frame."""
         common = self.intersection_area(detection)
         union = self.detection.area + detection.area - common
-        self.likeness = [*self.likeness, common / max(union, 1)][-SHAPE_SPAN:]
+        self.shape_ious = [*self.shape_ious, common / max(union, 1)][-SHAPE_SPAN:]
         self.kalman.correct(detection.centroid.reshape(2, 1))
         self._see(detection, detection.centroid)
 
@@ -184,7 +184,7 @@ class Track:
             self.kalman.measurementNoiseCov = usual / share**2
             self.kalman.correct(centroid.reshape(2, 1))
             self.kalman.measurementNoiseCov = usual
-        self.likeness = [*self.likeness, *self.likeness[-1:]][-SHAPE_SPAN:]
+        self.shape_ious = [*self.shape_ious, *self.shape_ious[-1:]][-SHAPE_SPAN:]
         self._see(detection, centroid)
 
     def _see(self, detection: Detection, centroid: Point) -> None:
@@ -192,7 +192,8 @@ class Track:
         self.sightings = [*self.sightings, centroid][-_TRAIL_LENGTH:]
         self.clutter = [*self.clutter, detection.clutter][-_TRAIL_LENGTH:]
         self.hits += 1
-        self.claims = [*self.claims, float(np.hypot(*detection.velocity))][-_TRAIL_LENGTH:]
+        speed = float(np.hypot(*detection.velocity))
+        self.flow_speeds = [*self.flow_speeds, speed][-_TRAIL_LENGTH:]
         self.still = 0 if detection.moving else self.still + 1
 
     def coast(self, ego_motion: Matrix, shape: tuple[int, int]) -> Detection:
@@ -202,12 +203,12 @@ class Track:
         much, as then.
         """
         expected = self.expected(ego_motion, shape)
-        self.carry(ego_motion)
+        self.propagate(ego_motion)
         self.still += 1
         if self.misses == 0:
             self.hits += 1
-            self.likeness = [*self.likeness, *self.likeness[-1:]][-SHAPE_SPAN:]
-            self.claims = [*self.claims, *self.claims[-1:]][-_TRAIL_LENGTH:]
+            self.shape_ious = [*self.shape_ious, *self.shape_ious[-1:]][-SHAPE_SPAN:]
+            self.flow_speeds = [*self.flow_speeds, *self.flow_speeds[-1:]][-_TRAIL_LENGTH:]
         return expected
 
     def intersection_area(self, detection: Detection) -> int:
