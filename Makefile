@@ -44,8 +44,9 @@ JOBS ?= 2
 test: lint ## lint, types and all tests but those that need torch (JOBS=2 processes)
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile
 
+LEARNING_TESTS := test/learning test/cli/test_train.py
 test-learning: .venv/learning ## the tests of networks, with torch (a download of 3.0 GB)
-	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile test/learning
+	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile $(LEARNING_TESTS)
 
 # What a frame takes, in one run with baselines and a yardstick; figures in out/benchmark.json.
 bench: venv ## time a frame; figures in out/benchmark.json

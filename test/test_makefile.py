@@ -12,6 +12,7 @@ from support.paths import ROOT
 
 pytestmark = pytest.mark.skipif(shutil.which("make") is None, reason="make is not installed")
 
+NEEDS_TORCH = re.compile(r'importorskip\(["\']torch')
 MAKEFILE = (ROOT / "Makefile").read_text()
 
 
@@ -26,6 +27,15 @@ def test_tests_and_demonstration_need_no_torch():
     planned = make("-nB", "test", "demo")
     assert "pip install" in planned and "pytest" in planned
     assert "torch" not in planned and "learning" not in planned
+
+
+def test_every_test_that_needs_torch_is_run_where_torch_is() -> None:
+    files = (ROOT / "test").rglob("test_*.py")
+    needing = {path for path in files if NEEDS_TORCH.search(path.read_text())}
+    targets = re.findall(r"test/\S+", make("-nB", "test-learning").splitlines()[-1])
+    covered = {path for name in targets for path in (ROOT / name, *(ROOT / name).rglob("*"))}
+    assert needing
+    assert needing <= covered
 
 
 def test_what_is_large_is_announced_before_it_is_installed():

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-pytest.importorskip("torch", reason="torch is not installed")
+pytest.importorskip("torch", reason="torch is not installed: make test-learning")
 
 from turbseg_ros.cli import train as cli
 from turbseg_ros.cli.train import main

@@ -182,7 +182,8 @@ def test_the_log_tells_of_start_first_image_enable_and_reset(tmp_path, probe):
     assert len(lines(node, "listening to")) == 2
     assert len(lines(node, "first image")) == 1
     assert "frame_id 'camera'" in node.output
-    assert "[WARN]" not in node.output
+    # A busy machine may be silent for three seconds, and be told so.
+    assert [line for line in lines(node, "[WARN]") if "no image on" not in line] == []
 
 
 @pytest.mark.parametrize(

@@ -50,8 +50,8 @@ def resident_bytes() -> int:
 @pytest.mark.parametrize(
     ("count", "blocks", "size", "processing"),
     [
-        (480, 5, SMALL, 64),
-        pytest.param(100_000, 20, SMALL, 64, marks=LONG),
+        (480, 5, SMALL, 128),
+        pytest.param(100_000, 20, SMALL, 128, marks=LONG),
         pytest.param(20_000, 20, (1920, 1080), 432, marks=LONG),
     ],
     ids=["short", "100,000", "20,000-1080p"],
