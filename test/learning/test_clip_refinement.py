@@ -24,7 +24,8 @@ from turbseg_ros.learning.clip_refinement import (  # noqa: E402
     warp,
 )
 
-pytestmark = pytest.mark.usefixtures("one_torch_thread")
+# Training takes a minute on an idle machine, and many on a busy one.
+pytestmark = [pytest.mark.usefixtures("one_torch_thread"), pytest.mark.timeout(900)]
 
 SCENE = DrawnScene((3, 1), (20, 20), side=30)
 NEIGHBOURS = (-2, -1, 1, 2)

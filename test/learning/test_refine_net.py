@@ -32,7 +32,8 @@ from turbseg_ros.learning.training import (  # noqa: E402
     train,
 )
 
-pytestmark = pytest.mark.usefixtures("one_torch_thread")
+# Training takes a minute on an idle machine, and many on a busy one.
+pytestmark = [pytest.mark.usefixtures("one_torch_thread"), pytest.mark.timeout(900)]
 
 PARAMETERS = Parameters.from_mapping({"resolution.processing": 160})
 CLIP_LENGTH = 20
