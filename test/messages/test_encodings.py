@@ -133,30 +133,6 @@ def test_impossible_planes_are_refused_in_one_line(
     assert "\n" not in str(caught.value)
 
 
-@settings(max_examples=200)
-@given(
-    encoding=st.sampled_from([*PLANAR, "16SC1", "32SC1", "64FC1", "8UC4", "16UC3"]),
-    height=st.integers(0, 20),
-    width=st.integers(0, 20),
-    step=st.integers(0, 100),
-    big_endian=st.booleans(),
-    data=st.binary(max_size=3000),
-)
-def test_any_message_gives_an_image_of_its_size_or_a_refusal(
-    encoding: str, height: int, width: int, step: int, big_endian: bool, data: bytes
-) -> None:
-    message = Image(
-        height=height, width=width, encoding=encoding, step=step, is_bigendian=int(big_endian)
-    )
-    message.data.frombytes(data)
-    try:
-        result = image_from_message(message)
-    except ImageConversionError:
-        return
-    assert result.shape[:2] == (height, width)
-    assert result.dtype in (np.uint8, np.uint16, np.float32)
-
-
 NUMBERS = {"8SC1": "i1", "16SC1": "i2", "32SC1": "i4", "64FC1": "f8"}
 
 

@@ -20,6 +20,7 @@ from turbseg_ros.messages.images import (
     ns_to_stamp,
     stamp_to_ns,
 )
+from turbseg_ros.messages.planar import PLANAR_LAYOUTS
 
 SIZES = st.integers(1, 12)
 GREY = {"mono8": "u1", "8UC1": "u1", "mono16": "u2", "16UC1": "u2", "32FC1": "f4"}
@@ -225,9 +226,14 @@ def test_what_cannot_be_decoded_is_refused_in_one_line(data):
     assert "\n" not in str(caught.value)
 
 
-@settings(max_examples=300)
+@settings(max_examples=500)
 @given(
-    encoding=st.sampled_from([*GREY, *COLOUR, "bayer_gbrg16", "yuyv", "bayer_rggb8"]),
+    encoding=st.sampled_from(
+        [
+            *(*GREY, *COLOUR, "bayer_gbrg16", "yuyv", "bayer_rggb8"),
+            *(*PLANAR_LAYOUTS, "16SC1", "32SC1", "64FC1", "8UC4", "16UC3"),
+        ]
+    ),
     height=st.integers(0, 40),
     width=st.integers(0, 40),
     step=st.integers(0, 200),
@@ -246,6 +252,7 @@ def test_any_message_gives_an_image_of_its_size_or_a_refusal(
     except ImageConversionError:
         return
     assert result.shape[:2] == (height, width)
+    assert result.dtype in (np.uint8, np.uint16, np.float32)
 
 
 @pytest.mark.parametrize(

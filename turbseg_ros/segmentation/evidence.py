@@ -6,6 +6,7 @@ even travels. The pictures tell: invented motion makes no neighbour more like th
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -66,7 +67,7 @@ class PictureEvidence:
             at_rest = neighbour.ravel()[place]
             along_flow = _along_flow(neighbour, self.flows[k], place)
             difference = np.abs(here - at_rest) - np.abs(here - along_flow)
-            total += _strongest(difference, size) / np.float32(self._noise(k))
+            total += _strongest(difference, size) / np.float32(self._noise[k])
         return total / np.float32(len(self.neighbours))
 
     def borne_out(self, strength: Map, size: int, least: float) -> Map:
@@ -85,16 +86,18 @@ class PictureEvidence:
 
     def textured(self) -> Mask:
         """Return around which pixels there is something that flow can hold on to, HxW."""
-        square = np.ones((3, 3), np.uint8)
-        range_ = cv2.subtract(cv2.dilate(self.grey, square), cv2.erode(self.grey, square))
         # Nine values of noise range over three standard deviations, and a difference of two
         # deviates by 1.13 on average.
-        noise = max((self._noise(k) for k in self.neighbours), default=_ROUNDING)
-        strong = cv2.blur(range_, (_PATCH, _PATCH)) > _TEXTURED * 3.0 * noise / 1.13
-        return np.asarray(strong)
+        noise = max(self._noise.values(), default=_ROUNDING)
+        contrast = cv2.blur(local_range(self.grey), (_PATCH, _PATCH))
+        return np.asarray(contrast > _TEXTURED * 3.0 * noise / 1.13)
 
-    def _noise(self, k: int) -> float:
-        """Return the mean absolute difference of grey values that noise makes to a neighbour."""
+    @functools.cached_property
+    def _noise(self) -> dict[int, float]:
+        """Mean absolute difference of grey values that noise makes to each neighbour."""
+        return {k: self._noise_to(k) for k in self.neighbours}
+
+    def _noise_to(self, k: int) -> float:
         points = pixel_grid((self.grey.shape[0], self.grey.shape[1]), _NOISE_STEP).astype(np.intp)
         place = points[..., 1] * self.grey.shape[1] + points[..., 0]
         here = self.grey.ravel()[place].astype(np.float32)
@@ -102,6 +105,12 @@ class PictureEvidence:
         quiet = np.partition(difference, int(_QUIET * (len(difference) - 1)))
         mean = float(quiet[: max(int(_QUIET * len(difference)), 1)].mean())
         return max(_MEAN_OVER_QUIET * mean, _ROUNDING)
+
+
+def local_range(grey: ByteImage) -> ByteImage:
+    """Return the range of grey values among each pixel and its eight neighbours, HxW."""
+    square = np.ones((3, 3), np.uint8)
+    return np.asarray(cv2.subtract(cv2.dilate(grey, square), cv2.erode(grey, square)))
 
 
 def _strongest(difference: Map, size: int) -> Map:

@@ -83,9 +83,8 @@ class AffineMotion:
         self, flows: Mapping[int, Flow], valid: Mapping[int, Map], interval: int
     ) -> list[MotionEstimate]:
         """Measure over each baseline of the average; see `MotionMeasure`."""
-        baselines = self.average.baselines(list(flows), interval)
         residuals = _residuals(flows, valid)
-        return _estimates(residuals, residuals, valid, baselines, self.average, "affine")
+        return _estimates(residuals, residuals, valid, self.average, interval, "affine")
 
 
 @dataclass(frozen=True)
@@ -105,9 +104,8 @@ class UncheckedMotion:
         self, flows: Mapping[int, Flow], valid: Mapping[int, Map], interval: int
     ) -> list[MotionEstimate]:
         """Measure over each baseline of the average; see `MotionMeasure`."""
-        baselines = self.average.baselines(list(flows), interval)
         residuals = _residuals(flows, valid)
-        return _estimates(flows, residuals, valid, baselines, self.average, "none")
+        return _estimates(flows, residuals, valid, self.average, interval, "none")
 
 
 @dataclass(frozen=True)
@@ -138,15 +136,15 @@ def _estimates(
     flows: Mapping[int, Flow],
     residuals: Mapping[int, Flow],
     valid: Mapping[int, Map],
-    baselines: Sequence[Sequence[int]],
     average: Average,
+    interval: int,
     ego_motion_model: str,
 ) -> list[MotionEstimate]:
-    """Average `flows` over each baseline; tilt is told by the `residuals`."""
+    """Average `flows` over each baseline of the average; tilt is told by the `residuals`."""
     tilt = measured_tilt(residuals, valid)
     return [
         _estimate(*average(_of(flows, those), _of(valid, those)), tilt, ego_motion_model)
-        for those in baselines
+        for those in average.baselines(list(flows), interval)
     ]
 
 

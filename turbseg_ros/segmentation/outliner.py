@@ -123,12 +123,14 @@ class Outliner:
         index: int,
         moving: Moving,
         expected: Sequence[CroppedMask],
+        overlays: Sequence[CroppedMask],
         tilt: float,
         stamp: int,
     ) -> list[Detection]:
         """Return what may be an object in a frame, at detail resolution.
 
         :param expected: where known objects should be, whether they move or rest.
+        :param overlays: what is burnt into the picture, if anything; see `overlay_masks`.
         :param tilt: rms turbulent motion an axis in detail pixels.
         :param stamp: the frame's, for those who observe.
         """
@@ -148,7 +150,7 @@ class Outliner:
 
         with self._observer.stage("outlines"):
             outlines = self._method.outlines(moving, crops, self._resolution)
-            outlines = _in_scene(outlines, overlay_masks(moving, shape))
+            outlines = _in_scene(outlines, overlays)
         seen_to_move = moving_mask if moving.measured else np.zeros_like(moving_mask)
         return [
             _detection(outline, seen_to_move, moving.motion, self._resolution)

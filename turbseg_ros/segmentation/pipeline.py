@@ -94,15 +94,19 @@ class Pipeline:
             return PendingResult(frame, resolution)
         self.overlay = moving.overlay
         self._observer.motion(frame.stamp, moving)
+        shape = resolution.detail_shape
+        overlays = overlay_masks(moving, shape)
 
         coasted = load.coasts and not moving.measured
         if coasted:
-            observations = tracker.coast(ego_motion, resolution.detail_shape)
+            observations = tracker.coast(ego_motion, shape)
         else:
             # Detections: objects cut out of the picture where something moves (eq. 5 to 9).
             tilt = resolution.tilt_in_detail(moving.motion.tilt)
-            expected = tracker.expected_outlines(ego_motion, resolution.detail_shape)
-            detections = self._outliner.detections(index, moving, expected, tilt, frame.stamp)
+            expected = tracker.expected_outlines(ego_motion, shape)
+            detections = self._outliner.detections(
+                index, moving, expected, overlays, tilt, frame.stamp
+            )
             self._observer.detections(frame.stamp, detections, resolution)
             # Tracks: which object is which of those before (eq. 4).
             with self._observer.stage("tracking"):
@@ -112,9 +116,8 @@ class Pipeline:
         self._tracked = index
 
         # What is an object is no background, and only where one is does motion go on.
-        shape = resolution.detail_shape
         masks = [seen.detection.outline.dilated(GUARD, shape) for seen in observations]
-        self.window.mark_objects(index, [*masks, *overlay_masks(moving, shape)])
+        self.window.mark_objects(index, [*masks, *overlays])
         self._schedule.keep_where(union_mask(masks, shape))
         return PendingResult(frame, resolution, moving.motion, observations, coasted)
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from turbseg_ros.arrays import ByteImage, Map, Mask, Matrix
 from turbseg_ros.segmentation.clutter import CELL, cells_of, enlarged
+from turbseg_ros.segmentation.evidence import local_range
 from turbseg_ros.segmentation.geometry import pixel_grid
 
 # Pixels by which the camera must have moved for a comparison to tell anything.
@@ -63,8 +64,7 @@ class OverlayMemory:
         if self._votes is None:
             self._votes = np.zeros(grey.shape, np.float32), np.zeros(grey.shape, np.float32)
         at_edges, anywhere = self._votes
-        square = np.ones((3, 3), np.uint8)
-        edge = cv2.subtract(cv2.dilate(grey, square), cv2.erode(grey, square))
+        edge = local_range(grey)
         same = cv2.convertScaleAbs(edge, alpha=_SAME) + np.uint8(1)
         for k in telling:
             as_it_is, in_scene = (cv2.absdiff(grey, each[k]) for each in (neighbours, aligned))

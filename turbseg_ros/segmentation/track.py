@@ -199,8 +199,8 @@ class Track:
     def coast(self, ego_motion: Matrix, shape: tuple[int, int]) -> Detection:
         """Take it into the next frame, where nobody looks for it; return where it is.
 
-        If it was found when it was last looked for, it is taken to be as alike, and to claim as
-        much, as then.
+        If it was found when it was last looked for, its shape is taken to be as alike, and its
+        flow as fast, as then.
         """
         expected = self.expected(ego_motion, shape)
         self.propagate(ego_motion)
