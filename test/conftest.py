@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 import os
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -36,6 +37,15 @@ def ros_log_dir(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     directory = tmp_path_factory.mktemp("ros_log")
     os.environ["ROS_LOG_DIR"] = str(directory)
     yield directory
+
+
+@pytest.fixture(autouse=True)
+def signals_answered_as_before() -> Iterator[None]:
+    """Undo what a test does to the process' signals: an interrupted executable ignores them."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
 
 
 @pytest.fixture(scope="module")

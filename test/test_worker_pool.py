@@ -12,7 +12,6 @@ from pathlib import Path
 import pytest
 
 from support.pool_tasks import interrupts_are_held_back, square, stay
-from turbseg_ros.cli.errors import signals_answered_by
 from turbseg_ros.worker_pool import WorkerPool
 
 # Processes start slowly on a busy machine.
@@ -51,9 +50,7 @@ def test_an_exception_ends_workers_at_once(tmp_path: Path) -> None:
 
     waiting = threading.Thread(target=wait_for_both)
     waiting.start()
-    # Where tests run side by side, their processes ignore interrupts.
-    interruptible = signals_answered_by(signal.default_int_handler, [signal.SIGINT])
-    with interruptible, pytest.raises(KeyboardInterrupt), WorkerPool(2) as pool:
+    with pytest.raises(KeyboardInterrupt), WorkerPool(2) as pool:
         list(pool.run(stay, marks))
     waiting.join()
     for mark in marks:
