@@ -113,6 +113,19 @@ def test_labels_are_those_that_the_segmenter_gives(camera, labels, probe):
         np.testing.assert_array_equal(image_from_message(label) > 0, result.labels > 0)
 
 
+def answers_of(topic):
+    """Return the messages that answer a frame: not those that only take away what is shown."""
+    return [message for message in topic if not takes_away(message)]
+
+
+def takes_away(message):
+    if isinstance(message, ImageMarker):
+        return message.action != ImageMarker.ADD
+    if isinstance(message, MarkerArray):
+        return bool(message.markers) and not any(m.action == Marker.ADD for m in message.markers)
+    return False
+
+
 def test_topics_agree_on_what_was_found(camera, labels, probe):
     masks = probe.listen("/turbseg/mask", Image)
     slots = [
@@ -136,14 +149,10 @@ def test_topics_agree_on_what_was_found(camera, labels, probe):
         topic.clear()
 
     stamps = Camera(probe).play(moving_square(40), answers=everything)
-    probe.wait_for(lambda: all(len(topic) >= 40 for topic in everything), "all topics")
-    # What is shown is taken away whenever the stream pauses.
-    annotations[:] = [each for each in annotations if each.action == ImageMarker.ADD]
-    centroids[:] = [
-        each
-        for each in centroids
-        if not each.markers or any(marker.action == Marker.ADD for marker in each.markers)
-    ]
+    # What is shown is taken away whenever the stream pauses, which answers no frame.
+    probe.wait_for(lambda: all(len(answers_of(topic)) >= 40 for topic in everything), "all topics")
+    annotations[:] = answers_of(annotations)
+    centroids[:] = answers_of(centroids)
     for topic in stamped:
         assert stamps_of(topic) == stamps
     # Markers carry no stamp when nothing is shown: an early one may have come late.
