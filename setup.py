@@ -84,8 +84,10 @@ setup(
         "cluster": ["distributed>=2024.1"],
         # SQLite bags of rosbag2, and those of ROS 1.
         "rosbags": ["rosbags>=0.11,<1"],
-        # Video packets in bags, and video files of more than 8 bits.
+        # Video packets in bags, video files of more than 8 bits, films in H.264.
         "video": ["av>=12,<19"],
+        # Tables of objects in Parquet.
+        "parquet": ["pyarrow>=14"],
         "test": [
             "pytest>=7.4,<10",
             "pytest-timeout>=2,<3",
@@ -93,6 +95,7 @@ setup(
             "hypothesis>=6,<7",
             "rosbags>=0.11,<1",
             "av>=12,<19",
+            "pyarrow>=14",
         ],
         "lint": ["ruff", "mypy", "types-PyYAML", "types-tqdm", "scipy-stubs"],
         "fuzz": ["atheris>=2.3,<4"],

@@ -21,6 +21,7 @@ KNOWS: dict[str, set[str]] = {
     "simulation": set(),
     "messages": {"segmentation"},
     "bag": {"messages", "segmentation"},
+    "exports": {"segmentation"},
     "datasets": {"bag", "messages", "segmentation"},
     "learning": {"segmentation", "simulation"},
     "nodes": {"messages", "segmentation", "bag"},

@@ -18,10 +18,12 @@ from rosbags.typesys import Stores, get_typestore
 from sensor_msgs.msg import CompressedImage, Image
 from std_msgs.msg import String
 
+from turbseg_ros.bag import mcap_file
 from turbseg_ros.bag import qos as qos_format
 from turbseg_ros.bag.errors import BagError
 from turbseg_ros.bag.reader import BagReader
 from turbseg_ros.bag.schema import message_definition
+from turbseg_ros.bag.section import Section
 from turbseg_ros.bag.writer import BagWriter
 from turbseg_ros.messages.images import image_from_message, message_from_image
 
@@ -74,6 +76,44 @@ def test_messages_come_in_order_of_time_and_only_those_asked_for(messages, asked
     assert counts == {
         topic: sum(topic == t for t, _ in messages) for topic in {t for t, _ in messages}
     }
+
+
+@settings(deadline=None, max_examples=50)
+@given(
+    times=st.lists(st.integers(0, 50), min_size=1, max_size=30),
+    start=st.integers(0, 60),
+    duration=st.none() | st.integers(1, 60),
+)
+def test_a_section_has_what_was_recorded_in_it(times, start, duration):
+    section = Section(start * 1e-9, None if duration is None else duration * 1e-9)
+    with tempfile.TemporaryDirectory() as folder:
+        path = write_strings(Path(folder) / "bag", [("/a", time) for time in times])
+        first = min(times) + start
+        wanted = sorted(
+            time
+            for time in times
+            if first <= time and (duration is None or time < first + duration)
+        )
+        if first > max(times):
+            with pytest.raises(BagError, match="has nothing from"):
+                BagReader(path, section)
+            return
+        reader = BagReader(path, section)
+        assert [record.stamp_ns for record in reader.messages()] == wanted
+        assert 1 <= reader.topics["/a"].message_count <= len(times)
+        assert reader.duration_ns <= max(times) - first
+
+
+def test_a_section_leaves_chunks_before_it_unread(tmp_path, monkeypatch):
+    path = write_noise(tmp_path / "bag", frames=12)
+    read = []
+    whole = mcap_file._read_chunk
+    monkeypatch.setattr(
+        mcap_file, "_read_chunk", lambda *where: read.append(where) or whole(*where)
+    )
+    stamps = [record.stamp_ns for record in BagReader(path, Section(8e-9, 3e-9)).messages()]
+    assert stamps == [8, 9, 10]
+    assert len(read) <= 4
 
 
 def test_images_come_back_as_they_were_written(tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import signal
 import threading
@@ -229,6 +230,68 @@ def test_overlay_strip_is_drawn_on_request(bag: Path, tmp_path: Path) -> None:
     picture = cv2.imread(str(overlay))
     assert picture is not None
     assert picture.shape == (3 * 320 + 8, 3 * 480 + 8, 3)
+
+
+def test_a_section_of_a_bag_is_replayed(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    section = ["--start", "0.06", "--duration", "0.1"]
+    assert replay.main([str(bag), "-o", str(out), *section]) == 0
+    stamps = [item.stamp for item in read_labels(BagReader(out), LABELS_TOPIC)]
+    assert stamps == [START + number * STEP for number in (2, 3, 4)]
+    assert "3 results, 0 images skipped\n1 object moved" in capsys.readouterr().out
+
+
+def test_a_section_behind_the_end_is_one_line(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert replay.main([str(bag), "-o", str(tmp_path / "out"), "--start", "9"]) == 2
+    assert "is 0.2 s long and has nothing from 9 s on" in capsys.readouterr().err
+
+
+def test_a_section_of_a_bag_is_scored(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scores = tmp_path / "scores.json"
+    arguments = [str(bag), "--json", str(scores), "--start", "0.06", "--duration", "0.1"]
+    assert evaluate.main([*arguments, "--workers", "1"]) == 0
+    (scored,) = json.loads(scores.read_text())["bags"]
+    assert scored["frames"] == 3
+
+
+def test_a_film_and_a_table_of_objects_are_made_on_request(bag: Path, tmp_path: Path) -> None:
+    film, objects, pictures = (tmp_path / name for name in ("film.mp4", "o.csv", "pictures"))
+    arguments = [str(bag), "-o", str(tmp_path / "out"), "--video", str(film)]
+    arguments += ["--objects", str(objects), "--object-pictures", str(pictures)]
+    assert replay.main(arguments) == 0
+    capture = cv2.VideoCapture(str(film))
+    assert sum(1 for _ in iter(capture.grab, False)) == 8
+    (row,) = csv.DictReader(objects.read_text().splitlines())
+    assert (row["id"], row["frames"], row["from_stamp"]) == ("7", "4", str(START + 2 * STEP))
+    assert [path.name for path in pictures.iterdir()] == [row["picture"]]
+
+
+@pytest.mark.parametrize(
+    ("option", "name", "complaint"),
+    [
+        ("--video", "film.gif", "end the name in .mp4 or .mkv or .mov"),
+        ("--objects", "objects.xls", "end the name in .csv or .parquet"),
+        ("--objects", "out/objects.csv", "lies in the bag to be written"),
+    ],
+)
+def test_a_name_that_cannot_be_is_refused_before_the_work(
+    bag: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    option: str,
+    name: str,
+    complaint: str,
+) -> None:
+    out = tmp_path / "out"
+    assert replay.main([str(bag), "-o", str(out), option, str(tmp_path / name)]) == 2
+    assert complaint in capsys.readouterr().err
+    assert not out.exists()
 
 
 @pytest.mark.parametrize("executable", ["replay", "evaluate"])

@@ -12,6 +12,7 @@ from typing import TypeVar, cast
 from turbseg_ros.bag.errors import BagError
 from turbseg_ros.bag.reader import BagReader
 from turbseg_ros.bag.schema import message_class
+from turbseg_ros.bag.section import WHOLE
 from turbseg_ros.messages.images import ImageConversionError, frame_from_serialised
 from turbseg_ros.messages.stream_monitor import Action, StreamMonitor
 from turbseg_ros.messages.video import (
@@ -36,7 +37,8 @@ class BagFrames:
     were recorded, and one after a jump in time or a long gap begins a new stream. Video packets
     are decoded where PyAV is installed. An image that can't be read as one, comes twice or late is
     warned about, throttled by kind, counted in `skipped` and left out; so are packets that give no
-    frame. `lost` counts those that the bag states and that its damaged parts no longer give.
+    frame. `lost` counts those that the bag states and that its damaged parts no longer give; of a
+    section of a bag that isn't known, and 0.
 
     :raises BagError: when they are video packets and PyAV is missing; also when iterated over.
     """
@@ -53,12 +55,13 @@ class BagFrames:
         self._throttled = ThrottledLogger(_LOGGER)
 
     def __len__(self) -> int:
-        """Images that the bag states, those that turn out unreadable or lost included."""
+        """Images that the bag states, unreadable and lost ones included; about, in a section."""
         return self._reader.topics[self._topic].message_count
 
     def __iter__(self) -> Iterator[Frame]:
         self.skipped = 0
         self.lost = len(self)
+        whole = self._reader.section == WHOLE
         monitor = StreamMonitor()
         for number, recorded, frame in self._read():
             verdict = monitor.judge(frame, recorded)
@@ -73,6 +76,8 @@ class BagFrames:
                 )
             self.skipped -= 1
             yield verdict.frame
+        if not whole:
+            self.lost = 0
 
     def _read(self) -> Iterator[tuple[int, int, Frame]]:
         """Yield each frame that can be read, its record's number, and when that was recorded.

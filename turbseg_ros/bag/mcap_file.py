@@ -79,13 +79,14 @@ class _DamageError(ValueError):
 class StoredChunk:
     """Where a chunk lies in its file, in bytes, and what it holds.
 
-    `start_ns` is the time of its first message; `channels` are the ids of those it has messages
-    of, empty when not known.
+    `start_ns` and `end_ns` are the times of its first and last message; `channels` are the ids of
+    those it has messages of, empty when not known.
     """
 
     offset: int
     length: int
     start_ns: int
+    end_ns: int
     channels: frozenset[int]
 
 
@@ -132,21 +133,25 @@ class McapFile:
             if id not in self.streams
         ]
 
-    def read(self, wanted: Collection[int]) -> Iterator[tuple[int, int, bytes]]:
+    def read(self, wanted: Collection[int], since_ns: int = 0) -> Iterator[tuple[int, int, bytes]]:
         """Return channel, time and data of the wanted channels' messages, in the order of time.
 
         What is damaged is left out with a warning. Memory holds no more than the chunks that
         overlap in time.
 
+        :param since_ns: what was recorded before isn't wanted, and mostly not read.
+
         :raises OSError: when the file can't be read.
         """
         with self.content.open("rb") as stream:
             messages = (
-                _in_order_of_time(self._selected(stream, wanted))
+                _in_order_of_time(self._selected(stream, wanted, since_ns))
                 if self.chunks
                 else _single_messages(stream, wanted)
             )
             for message in messages:
+                if message.log_time < since_ns:
+                    continue
                 yield message.channel_id, message.log_time, message.data
 
     def _stream(self, channel: Channel) -> Stream | None:
@@ -163,12 +168,15 @@ class McapFile:
         )
 
     def _selected(
-        self, stream: BinaryIO, wanted: Collection[int]
+        self, stream: BinaryIO, wanted: Collection[int], since_ns: int
     ) -> Iterator[tuple[int, list[Message]]]:
-        """Return the start of each chunk, by time, and its messages on the wanted channels."""
+        """Return the start of each chunk, by time, and its messages on the wanted channels.
+
+        Chunks of which all was recorded before `since_ns` are left out.
+        """
         spoilt: list[str] = []
         for chunk in sorted(self.chunks, key=lambda chunk: (chunk.start_ns, chunk.offset)):
-            if chunk.channels and chunk.channels.isdisjoint(wanted):
+            if chunk.end_ns < since_ns or (chunk.channels and chunk.channels.isdisjoint(wanted)):
                 continue
             try:
                 records = _chunk_content(_read_chunk(stream, chunk.offset, chunk.length))
@@ -282,6 +290,7 @@ def _indexed(path: Path, summary: Summary) -> McapFile:
                 index.chunk_start_offset,
                 index.chunk_length,
                 index.message_start_time,
+                index.message_end_time,
                 frozenset(index.message_index_offsets),
             )
             for index in summary.chunk_indexes
@@ -324,6 +333,7 @@ class _Census:
                 offset,
                 _RECORD_HEAD.size + len(content),
                 chunk.message_start_time,
+                chunk.message_end_time,
                 frozenset(message.channel_id for message in messages),
             )
         )

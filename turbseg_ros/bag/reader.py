@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import heapq
+import itertools
 import logging
+import math
 import shutil
 import tempfile
 import weakref
@@ -28,6 +30,7 @@ from turbseg_ros.bag.rosbags_file import (
     open_with_rosbags,
     ros1_converter,
 )
+from turbseg_ros.bag.section import WHOLE, Section
 from turbseg_ros.bag.topics import is_result
 from turbseg_ros.dependencies import how_to_install
 
@@ -45,11 +48,15 @@ class BagReader:
     read. What is lost, missing, or no ROS message is left out, and a warning is logged. Files that
     are compressed as a whole are unpacked into the folder of temporary files.
 
-    :raises BagError: when there is no such bag, or it isn't one, or nothing of it can be saved.
+    :param section: the part of it that is read. How many messages each topic has there is not
+        counted: `topics` have about as many as even rates would give.
+    :raises BagError: when there is no such bag, or it isn't one, or nothing of it can be saved,
+        or it ends before the section begins.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, section: Section = WHOLE) -> None:
         self.path = path
+        self.section = section
         with reading(path):
             layout = find_layout(path)
             self._files, faults = _opened(layout.files)
@@ -70,6 +77,22 @@ class BagReader:
                 *(path, len(layout.missing), printable(shortened(layout.missing), 500)),
             )
         self._report_damage(layout.stated, bool(faults or layout.missing))
+        if section != WHOLE:
+            self._narrow(section)
+
+    def _narrow(self, section: Section) -> None:
+        """Leave out what lies outside the section."""
+        start, end = self._span
+        first, last = section.bounds(start, end)
+        if last < first:
+            raise BagError(
+                f"{self.path} is {(end - start) * 1e-9:.1f} s long and has nothing from "
+                f"{section.start:g} s on"
+            )
+        share = (last - first + 1) / (end - start + 1)
+        for name, topic in self._topics.items():
+            count = math.ceil(share * topic.message_count)
+            self._topics[name] = replace(topic, message_count=count)
 
     def _report_damage(self, stated: Mapping[str, int], incomplete: bool) -> None:
         """Warn of damaged files; take what metadata.yaml states for what was recorded."""
@@ -95,9 +118,15 @@ class BagReader:
     @property
     def duration_ns(self) -> int:
         """Nanoseconds from the first message to the last."""
+        first, last = self.section.bounds(*self._span)
+        return last - first
+
+    @property
+    def _span(self) -> tuple[int, int]:
+        """When the first and the last message were recorded, nanoseconds."""
         filled = [file for file in self._files if file.message_count]
         start = min((file.start_ns for file in filled), default=0)
-        return max((file.end_ns for file in filled), default=0) - start
+        return start, max((file.end_ns for file in filled), default=0)
 
     def find_image_topic(self, requested: str | None = None) -> str:
         """Return the topic whose images are to be segmented.
@@ -142,10 +171,14 @@ class BagReader:
 
         :raises BagError: when a file can't be read any more; what came before is sound.
         """
-        streams = [self._read(file, topics) for file in self._files]
-        return heapq.merge(*streams, key=lambda record: record.stamp_ns)
+        first, last = self.section.bounds(*self._span)
+        streams = [self._read(file, topics, first) for file in self._files]
+        records = heapq.merge(*streams, key=lambda record: record.stamp_ns)
+        if self.section.duration is None:
+            return records
+        return itertools.takewhile(lambda record: record.stamp_ns <= last, records)
 
-    def _read(self, file: BagFile, topics: Collection[str] | None) -> Iterator[Record]:
+    def _read(self, file: BagFile, topics: Collection[str] | None, first: int) -> Iterator[Record]:
         wanted = {
             number: stream
             for number, stream in file.streams.items()
@@ -154,7 +187,7 @@ class BagReader:
         }
         spoilt = 0
         with reading(file.path):
-            for number, stamp, data in file.read(wanted):
+            for number, stamp, data in file.read(wanted, first):
                 stream = wanted[number]
                 content = unpacked_message(data) if self._packed_messages else data
                 content = _as_cdr(stream, content)

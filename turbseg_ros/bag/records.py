@@ -77,9 +77,10 @@ class BagFile(Protocol):
     def lossy(self) -> bool:
         """Whether messages may be lost."""
 
-    def read(self, wanted: Collection[int]) -> Iterator[tuple[int, int, bytes]]:
+    def read(self, wanted: Collection[int], since_ns: int = 0) -> Iterator[tuple[int, int, bytes]]:
         """Return stream, time (nanoseconds) and data of the wanted streams' messages, by time.
 
+        :param since_ns: what was recorded before is left out.
         :raises OSError: when the file can't be read.
         """
 

@@ -48,7 +48,7 @@ class RosbagsFile:
     damage: str | None = None
     lossy: bool = False
 
-    def read(self, wanted: Collection[int]) -> Iterator[tuple[int, int, bytes]]:
+    def read(self, wanted: Collection[int], since_ns: int = 0) -> Iterator[tuple[int, int, bytes]]:
         """Return stream, time and data of messages; see `BagFile`.
 
         What lies behind damage is left out with a warning.
@@ -58,7 +58,9 @@ class RosbagsFile:
             with _reader(self.content) as reader:
                 chosen = [c for c in reader.connections if c.id in wanted]
                 # None chosen would mean all.
-                for connection, stamp, data in reader.messages(chosen) if chosen else ():
+                for connection, stamp, data in (
+                    reader.messages(chosen, start=since_ns) if chosen else ()
+                ):
                     yield connection.id, stamp, bytes(data)
                     count += 1
         except OSError:

@@ -18,6 +18,7 @@ from turbseg_ros.cli.errors import Interrupted, UsageError, executable, interrup
 from turbseg_ros.cli.memory import keep_large_buffers
 from turbseg_ros.cli.options import (
     parameters_from,
+    section_from,
     with_progress,
 )
 from turbseg_ros.cli.outputs import check_file, check_folder
@@ -79,7 +80,7 @@ def _check(options: argparse.Namespace) -> None:
     if options.predictions is not None:
         if len(options.bags) > 1:
             raise UsageError("--predictions are those of one BAG; give one")
-        for name in (*_EXPERIMENTS, "report", "curves"):
+        for name in (*_EXPERIMENTS, "report", "curves", "start", "duration"):
             if getattr(options, name):
                 option = name.replace("_", "-")
                 raise UsageError(f"--{option} segments anew; leave out --predictions")
@@ -185,7 +186,13 @@ def _trials(options: argparse.Namespace, parameters: Parameters) -> list[Run]:
     return [
         Run(
             # Another process may have another working directory.
-            Source(str(bag), bag.absolute(), options.image_topic, options.truth_topic),
+            Source(
+                str(bag),
+                bag.absolute(),
+                options.image_topic,
+                options.truth_topic,
+                section_from(options),
+            ),
             method,
             illustrated=options.report is not None,
         )

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from turbseg_ros import __version__
+from turbseg_ros.bag.section import Section
 from turbseg_ros.parameters import Declaration, ParameterError, Parameters, declarations
 
 T = TypeVar("T")
@@ -51,6 +52,25 @@ def add_parameter_options(parser: argparse.ArgumentParser) -> None:
     )
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = "\n".join(["parameter names:", *map(_described, declarations())])
+
+
+def add_section_options(parser: argparse.ArgumentParser) -> None:
+    """Add `--start` and `--duration`, which choose a part of a recording."""
+    parser.add_argument(
+        "--start",
+        type=_seconds,
+        default=0.0,
+        metavar="S",
+        help="begin S seconds after the recording's first message (default: 0)",
+    )
+    parser.add_argument(
+        "--duration", type=positive_number, metavar="S", help="take S seconds (default: all)"
+    )
+
+
+def section_from(options: argparse.Namespace) -> Section:
+    """Return the part of a recording that the options of `add_section_options` ask for."""
+    return Section(options.start, options.duration)
 
 
 def parameters_from(options: argparse.Namespace) -> Parameters:
@@ -116,6 +136,14 @@ def _described(declaration: Declaration) -> str:
         text += f" {declaration.condition}"
     body = textwrap.fill(text, width=92, initial_indent=" " * 6, subsequent_indent=" " * 6)
     return f"  {declaration.name}\n{body}"
+
+
+def _seconds(text: str) -> float:
+    """Read a finite number that is not below 0."""
+    value = float(text)
+    if not (math.isfinite(value) and value >= 0):
+        raise argparse.ArgumentTypeError(f"{text} is not 0 or above")
+    return value
 
 
 def positive_number(text: str) -> float:

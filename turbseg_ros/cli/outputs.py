@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 from turbseg_ros.cli.errors import UsageError
@@ -28,6 +29,16 @@ def check_picture(path: Path) -> None:
         check_picture_name(path)
     except PictureError as error:
         raise UsageError(str(error)) from error
+    check_file(path)
+
+
+def check_suffix(path: Path, suffixes: Sequence[str]) -> None:
+    """See that a file can be written under a name that ends as one of its kind does.
+
+    :raises UsageError: when it could not be, or ends otherwise.
+    """
+    if path.suffix.lower() not in suffixes:
+        raise UsageError(f"{path}: end the name in {' or '.join(suffixes)}")
     check_file(path)
 
 

@@ -13,6 +13,7 @@ from rclpy.utilities import remove_ros_args
 
 from turbseg_ros.bag.reader import BagReader
 from turbseg_ros.cli.errors import Interrupted, UsageError, executable
+from turbseg_ros.cli.options import section_from
 from turbseg_ros.cli.parsers.play import build_parser
 from turbseg_ros.nodes.player import Player, Timeline, lossless_qos, recorded_qos
 from turbseg_ros.throttle import ThrottledLogger
@@ -37,7 +38,7 @@ def _run(command: Sequence[str]) -> None:
             raise UsageError(
                 "--clock publishes the bag's time and --stamp-now another one; choose one of them"
             )
-        reader = BagReader(options.bag)
+        reader = BagReader(options.bag, section_from(options))
         rclpy.init(args=command, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:  # ROS arguments that can't be
         raise UsageError(str(error)) from error

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
+import importlib
 import logging
 import sys
 import traceback
@@ -22,9 +24,13 @@ from turbseg_ros.cli.errors import (
     stopping_at_signals,
 )
 from turbseg_ros.cli.memory import keep_large_buffers
-from turbseg_ros.cli.options import parameters_from, with_progress
-from turbseg_ros.cli.outputs import check_new, check_picture
+from turbseg_ros.cli.options import parameters_from, section_from, with_progress
+from turbseg_ros.cli.outputs import check_folder, check_new, check_picture, check_suffix
 from turbseg_ros.cli.parsers.replay import build_parser
+from turbseg_ros.exports.film import SUFFIXES as FILM_SUFFIXES
+from turbseg_ros.exports.film import Film, FilmError
+from turbseg_ros.exports.object_table import SUFFIXES as TABLE_SUFFIXES
+from turbseg_ros.exports.object_table import ObjectTable
 from turbseg_ros.factory import clip_segmenter
 from turbseg_ros.messages.results import CentroidMarkers, Output, outputs, slot_output
 from turbseg_ros.overlay import OverlayStrip, write_picture
@@ -84,12 +90,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = build_parser().parse_args(arguments)
     keep_large_buffers()
     parameters = parameters_from(options)
-    reader = BagReader(options.bag)
+    reader = BagReader(options.bag, section_from(options))
     frames = BagFrames(reader, reader.find_image_topic(options.image_topic))
     _check_outputs(options)
-    strip = OverlayStrip(len(frames))
+    exports = _Exports(options, len(frames))
     count = 0
-    with stopping_at_signals("turbseg_replay") as stop, BagWriter(options.out) as bag:
+    with (
+        stopping_at_signals("turbseg_replay") as stop,
+        BagWriter(options.out) as bag,
+        exports,
+    ):
 
         def shown(epochs: range) -> Iterator[int]:
             for epoch in with_progress(epochs, title="refining", unit="epoch"):
@@ -105,7 +115,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         images = ahead(with_progress(taken, reader.path.name, len(frames)))
         for result in ahead(segment(images, segmenter)):
             results.write(result)
-            strip.add(result)
+            exports.add(result)
             count += 1
         if stop.cut and not count:
             stop.check()
@@ -113,8 +123,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise BagError(f"{reader.path}: none of {len(frames)} images could be read")
         if stop.cut:
             bag.mark_partial(interrupted_after(count, len(frames)))
-    if options.overlay is not None:
-        write_picture(options.overlay, strip.picture())
+    exports.write()
     if stop.cut:
         partial = interrupted_after(count, len(frames))
         print(f"turbseg_replay: {options.out} is partial: {partial}", file=sys.stderr)
@@ -124,14 +133,55 @@ def main(arguments: Sequence[str] | None = None) -> int:
         f", {name} missing in {times} frames" for name, times in results.failed.items()
     )
     print(f"{options.out}: {count} results, {frames.skipped} images skipped{lost}{failed}")
+    print(exports.objects.summary())
     return 1 if failed else 0
+
+
+class _Exports(contextlib.ExitStack):
+    """What is made of the results beside the bag, as the options ask; used in a `with`."""
+
+    def __init__(self, options: argparse.Namespace, frames: int) -> None:
+        super().__init__()
+        self._options = options
+        self._strip = OverlayStrip(frames)
+        self.objects = ObjectTable(pictures=options.object_pictures is not None)
+        film = None if options.video is None else self.enter_context(Film(options.video))
+        self._sinks = [sink for sink in (self._strip, self.objects, film) if sink is not None]
+
+    def add(self, result: SegmentationResult) -> None:
+        """Take the next result.
+
+        :raises UsageError: when a film can't be written.
+        """
+        try:
+            for sink in self._sinks:
+                sink.add(result)
+        except FilmError as error:
+            raise UsageError(str(error)) from error
+
+    def write(self) -> None:
+        """Write what is written at the end."""
+        if self._options.overlay is not None:
+            write_picture(self._options.overlay, self._strip.picture())
+        if self._options.objects is not None:
+            self.objects.write(self._options.objects)
+        if self._options.object_pictures is not None:
+            self.objects.write_pictures(self._options.object_pictures)
 
 
 def _check_outputs(options: argparse.Namespace) -> None:
     check_new(options.out)
+    extras = (options.overlay, options.video, options.objects, options.object_pictures)
+    for path in extras:
+        if path is not None and options.out.absolute() in path.absolute().parents:
+            raise UsageError(f"{path} lies in the bag to be written; name another place")
     if options.overlay is not None:
-        if options.out.absolute() in options.overlay.absolute().parents:
-            raise UsageError(
-                f"{options.overlay} lies in the bag to be written; name another place"
-            )
         check_picture(options.overlay)
+    if options.video is not None:
+        check_suffix(options.video, FILM_SUFFIXES)
+    if options.objects is not None:
+        check_suffix(options.objects, TABLE_SUFFIXES)
+        if options.objects.suffix.lower() == ".parquet":
+            importlib.import_module("pyarrow")  # missing, it is told before the work
+    if options.object_pictures is not None:
+        check_folder(options.object_pictures)

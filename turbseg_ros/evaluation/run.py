@@ -8,6 +8,7 @@ from pathlib import Path
 
 from turbseg_ros.bag.frames import BagFrames
 from turbseg_ros.bag.reader import BagReader
+from turbseg_ros.bag.section import WHOLE, Section
 from turbseg_ros.evaluation.baselines import Method
 from turbseg_ros.evaluation.disturbance import Disturbance, DisturbanceError, DisturbedClip
 from turbseg_ros.evaluation.evaluate import EvaluationError, evaluate_segmenter
@@ -23,7 +24,7 @@ Progress = Callable[[BagFrames], Iterable[Frame]]
 
 @dataclass(frozen=True)
 class Source:
-    """A bag with its truth: what tables call it, where it lies, which of its topics to take.
+    """A bag with its truth: what tables call it, where it lies, which topics and part to take.
 
     Without an `image_topic` the bag must have images on one topic only.
     """
@@ -32,6 +33,7 @@ class Source:
     path: Path
     image_topic: str | None
     truth_topic: str
+    section: Section = WHOLE
 
 
 @dataclass(frozen=True)
@@ -65,7 +67,7 @@ class Run:
         :raises BagError: when the bag can't be read or lacks a topic.
         :raises EvaluationError: when frames and truth don't go together, or can't be disturbed.
         """
-        reader = BagReader(self.source.path)
+        reader = BagReader(self.source.path, self.source.section)
         truth = LabelsByStamp(read_labels(reader, self.source.truth_topic))
         images = BagFrames(reader, reader.find_image_topic(self.source.image_topic))
         frames: Iterable[Frame] = progress(images)

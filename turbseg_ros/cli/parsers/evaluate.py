@@ -6,7 +6,12 @@ import argparse
 from pathlib import Path
 
 from turbseg_ros.bag.topics import LABELS_TOPIC, TRUTH_TOPIC
-from turbseg_ros.cli.options import add_parameter_options, command_parser, positive_count
+from turbseg_ros.cli.options import (
+    add_parameter_options,
+    add_section_options,
+    command_parser,
+    positive_count,
+)
 from turbseg_ros.evaluation import BASELINES
 
 # Stronger ones than this leave nothing to see.
@@ -50,6 +55,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--truth-topic", default=TRUTH_TOPIC, metavar="T", help="true labels (%(default)s)"
     )
+    add_section_options(parser)
     parser.add_argument("--json", type=Path, metavar="F", help="also write the scores as JSON")
     parser.add_argument(
         "--report", type=Path, metavar="DIR", help="also write DIR/index.html, with pictures"

@@ -5,7 +5,12 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from turbseg_ros.cli.options import command_parser, positive_count, positive_number
+from turbseg_ros.cli.options import (
+    add_section_options,
+    command_parser,
+    positive_count,
+    positive_number,
+)
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -17,6 +22,7 @@ def build_parser() -> argparse.ArgumentParser:
         "The service /turbseg_play/pause (std_srvs/SetBool) pauses and resumes.",
     )
     parser.add_argument("bag", type=Path, metavar="BAG", help="rosbag2 directory, or one file")
+    add_section_options(parser)
     parser.add_argument(
         "--rate", type=positive_number, default=1.0, metavar="R", help="times as fast (default: 1)"
     )

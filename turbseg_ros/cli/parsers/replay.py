@@ -5,7 +5,11 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from turbseg_ros.cli.options import add_parameter_options, command_parser
+from turbseg_ros.cli.options import (
+    add_parameter_options,
+    add_section_options,
+    command_parser,
+)
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -21,12 +25,33 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--image-topic", metavar="T", help="images to segment, where the bag has several topics"
     )
+    add_section_options(parser)
     parser.add_argument(
         "--overlay",
         type=Path,
         metavar="PICTURE",
         help="also draw nine frames with what was found, in the format that the name ends in: "
         ".png, .jpg, .webp, .bmp or .tif",
+    )
+    parser.add_argument(
+        "--video",
+        type=Path,
+        metavar="FILM",
+        help="also make a film of every frame with what was found, .mp4, .mkv or .mov: H.264 "
+        "where PyAV is installed, else MPEG-4",
+    )
+    parser.add_argument(
+        "--objects",
+        type=Path,
+        metavar="TABLE",
+        help="also write a row for each object, .csv or (where PyArrow is installed) .parquet: "
+        "when, from where to where, how fast, how large",
+    )
+    parser.add_argument(
+        "--object-pictures",
+        type=Path,
+        metavar="DIR",
+        help="also write each object's best picture into a folder",
     )
     add_parameter_options(parser)
     return parser

@@ -1,0 +1,1 @@
+"""Results for people to keep: films and tables of objects."""
