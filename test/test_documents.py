@@ -164,10 +164,11 @@ def test_the_threads_that_are_drawn_are_those_that_the_code_starts() -> None:
             ("nodes", "worker.py"),
             ("segmentation", "motion_segmenter.py"),
             ("segmentation", "flow.py"),
+            ("cli", "node.py"),
         )
     )
     started = set(re.findall(r'(?:\bname|thread_name_prefix)="(\w+)"', sources))
-    assert drawn == started | {"main", "signals"}
+    assert drawn == started | {"main"}
 
 
 def test_the_example_of_an_own_strategy_can_be_had(

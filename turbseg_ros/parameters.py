@@ -433,7 +433,8 @@ class TrackingParameters:
 
     mode: str = parameter(
         "kalman",
-        "kalman: live; kmeans: the paper's, which needs the whole clip (turbseg_replay only).",
+        "kalman: live; kmeans: the paper's, which needs the whole clip (turbseg_replay and "
+        "turbseg_evaluate only).",
         choices=("kalman", "kmeans"),
         read_only=True,
         extensible=True,

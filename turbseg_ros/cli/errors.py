@@ -202,7 +202,7 @@ def _refuse(name: str, reason: str) -> int:
 
 
 def _leave_closed_pipe() -> int:
-    """Return up output whose reader has gone, such as `head`, without complaint at exit."""
+    """Give up output whose reader has gone, such as `head`, without complaint at exit."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return 128 + signal.SIGPIPE
 

@@ -53,7 +53,9 @@ def _run() -> None:
     node = TurbsegNode()
     executor = SingleThreadedExecutor()
     executor.add_node(node)
-    threading.Thread(target=_shut_down_on_signal, args=(executor,), daemon=True).start()
+    threading.Thread(
+        target=_shut_down_on_signal, args=(executor,), name="signals", daemon=True
+    ).start()
     try:
         with contextlib.suppress(ExternalShutdownException):
             executor.spin()

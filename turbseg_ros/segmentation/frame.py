@@ -115,7 +115,7 @@ class SegmentationResult:
     `labels` is uint16, HxW as the frame: 0 is background, k the object with id k
     (counted from 1 again after 65,535). `motion_map` is
     float32 at processing resolution: pixels a frame (of the input image) by which a point breaks
-    the camera's own motion. `tilt` is the measured turbulence: rms image motion a axis in input
+    the camera's own motion. `tilt` is the measured turbulence: rms image motion an axis in input
     pixels, NaN while unknown. `ego_motion_model` names the model chosen for the camera's motion.
     `clutter` is float32, a cell for each four by four pixels at processing resolution: by how many
     pixels a frame (of the input image) a place is known to move without anything being there; None

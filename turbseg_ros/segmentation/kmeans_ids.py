@@ -77,7 +77,7 @@ class KMeansIds:
         return self._take([Track.started(each, 0.0) for each in carried if each.area])
 
     def settle(self) -> None:
-        """Return the clip's masks their ids."""
+        """Give the clip's masks their ids."""
         counts = [len(tracks) for tracks in self._clip if tracks]
         if not counts:
             return

@@ -1,6 +1,6 @@
 """The method on one page: a frame's way through it, in the order of the paper (ECCV 2024).
 
-    paper    stage                     here, and as the paper has it
+    paper    stage                     the default; and as the paper has it
     eq. 1    stabilised flow           average.SlopeAverage; flow.mean_flow
     eq. 2    geometric consistency     motion.AffineMotion; geometry.sampson_distance
              seeds                     region_growing.seed_strength; evidence.PictureEvidence

@@ -17,7 +17,7 @@ Field = npt.NDArray[np.float32]
 class CameraMotion:
     """Motion of the picture that the camera causes, in pixels and frames.
 
-    `shake` is the rms step from one frame to the next a axis, of a wander that a hand or tripod
+    `shake` is the rms step from one frame to the next an axis, of a wander that a hand or tripod
     pulls back within `shake_memory` frames; with it goes a roll of `roll` radians rms. `pan` is
     the steady motion of the view over the scene a frame, `vibration` the amplitude of a
     sinusoid (engine, rotor) with a period of `vibration_period` frames.

@@ -74,7 +74,7 @@ class Optics:
 
     @property
     def tilt_px(self) -> float:
-        """Rms tilt a axis in pixels: variance 0.182 (λ/D)² (D/r0)^(5/3) rad² (Noll 1976)."""
+        """Rms tilt an axis in pixels: variance 0.182 (λ/D)² (D/r0)^(5/3) rad² (Noll 1976)."""
         variance = (
             0.182 * (self.wavelength / self.aperture) ** 2 * (self.aperture / self.r0) ** (5 / 3)
         )
@@ -99,7 +99,7 @@ class Optics:
 class Turbulence:
     """Turbulence as the image shows it; lengths in pixels, times in frames.
 
-    `tilt_px` is the rms tilt a axis, the part that is common to the whole image included;
+    `tilt_px` is the rms tilt an axis, the part that is common to the whole image included;
     `aperture_px` the aperture's diameter projected to where the turbulence is; `blur_px` the
     median sigma of the blur, which varies from place to place by the factor
     exp(`blur_variation` · normal). The air drifts by `wind_px` a frame, and an eddy of the size

@@ -28,7 +28,7 @@ def build_parser() -> argparse.ArgumentParser:
         "--tilt",
         type=float,
         metavar="PX",
-        help="rms tilt a axis in pixels of the image, instead of the scene's own",
+        help="rms tilt an axis in pixels of the image, instead of the scene's own",
     )
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="default: 0")
     parser.add_argument(

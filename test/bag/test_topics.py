@@ -1,0 +1,26 @@
+"""Which recorded topics are the node's own results."""
+
+from __future__ import annotations
+
+import pytest
+from sensor_msgs.msg import Image
+
+from turbseg_ros.bag.topics import is_result
+from turbseg_ros.messages.results import CentroidMarkers, outputs, views
+
+PUBLISHED = [
+    output.name for output in (*outputs(1, CentroidMarkers()), *views()) if output.type is Image
+]
+
+
+@pytest.mark.parametrize("name", PUBLISHED)
+@pytest.mark.parametrize("node", ["/turbseg", "/north/turbseg"])
+def test_every_image_that_is_published_is_known_for_a_result(node: str, name: str) -> None:
+    assert is_result(f"{node}/{name}", {})
+
+
+@pytest.mark.parametrize("name", PUBLISHED)
+def test_a_node_of_another_name_is_known_by_its_markers(name: str) -> None:
+    types = {"/eye/centroids": "visualization_msgs/msg/MarkerArray"}
+    assert is_result(f"/eye/{name}", types)
+    assert not is_result(f"/eye/{name}", {})
