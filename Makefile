@@ -6,11 +6,11 @@ comma := ,
 # A sourced ROS 2 brings rclpy, OpenCV and NumPy of its own; elsewhere they come as wheels.
 SOURCED_ROS := $(and $(ROS_DISTRO),$(shell $(PYTHON) -c 'import rclpy' 2>/dev/null && echo yes))
 VENV_FLAGS := $(if $(SOURCED_ROS),--system-site-packages)
-EXTRAS := bags,evaluation,cluster,test,lint,colcon$(if $(SOURCED_ROS),,$(comma)wheels)
+EXTRAS := bags,evaluation,cluster,test,docs,lint,colcon$(if $(SOURCED_ROS),,$(comma)wheels)
 CONSTRAINTS := $(if $(SOURCED_ROS),,-c constraints.txt)
 
 .DEFAULT_GOAL := help
-.PHONY: help venv learning demo test test-learning bench figures soak fuzz lint clean
+.PHONY: help venv learning demo test test-learning docs bench figures soak fuzz lint clean
 
 help: ## what there is
 	@echo 'make TARGET, in the folder of this file; all but help and clean make .venv first:'
@@ -47,6 +47,9 @@ test: lint ## lint, types and all tests but those that need torch (JOBS=2 proces
 LEARNING_TESTS := test/learning test/cli/test_train.py
 test-learning: .venv/learning ## the tests of networks, with torch (a download of 3.0 GB)
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile $(LEARNING_TESTS)
+
+docs: venv ## the reference of the library, into out/docs/index.html
+	$(BIN)/python -m sphinx -W --keep-going -q -b html docs/api out/docs
 
 # What a frame takes, in one run with baselines and a yardstick; figures in out/benchmark.json.
 bench: venv ## time a frame; figures in out/benchmark.json

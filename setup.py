@@ -97,6 +97,8 @@ setup(
             "av>=12,<19",
             "pyarrow>=14",
         ],
+        # The reference of the library.
+        "docs": ["sphinx>=7,<10"],
         "lint": ["ruff", "mypy", "types-PyYAML", "types-tqdm", "scipy-stubs"],
         "fuzz": ["atheris>=2.3,<4"],
         "colcon": ["colcon-common-extensions>=0.3,<1"],

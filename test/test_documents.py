@@ -5,11 +5,14 @@ from __future__ import annotations
 import ast
 import functools
 import re
+import subprocess
+import sys
 import textwrap
 from pathlib import Path
 
 import pytest
 
+import turbseg_ros
 from turbseg_ros.factory import strategies
 from turbseg_ros.parameters import Parameters, declarations, markdown_table
 
@@ -153,6 +156,20 @@ def test_the_papers_equations_all_have_their_code() -> None:
         for n in re.findall(r"\b\d\b", paper.split(":")[0])
     }
     assert found == set(range(1, 10))
+
+
+def test_the_reference_is_built_without_a_warning(tmp_path: Path) -> None:
+    command = ["-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html"]
+    run = subprocess.run(
+        [sys.executable, *command, str(ROOT / "docs" / "api"), str(tmp_path)],
+        capture_output=True,
+        text=True,
+        timeout=180,
+    )
+    assert (run.returncode, run.stderr) == (0, "")
+    page = (tmp_path / "index.html").read_text()
+    for name in turbseg_ros.__all__:
+        assert f"turbseg_ros.{name}" in page
 
 
 def test_the_threads_that_are_drawn_are_those_that_the_code_starts() -> None:

@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from types import TracebackType
+from typing import TypeVar
 
 from turbseg_ros.parameters import Parameters
 from turbseg_ros.segmentation.frame import Frame, SegmentationResult
@@ -16,6 +17,8 @@ from turbseg_ros.segmentation.pipeline import Pipeline
 from turbseg_ros.segmentation.preparation import FramePreparer
 from turbseg_ros.segmentation.resolution import Resolution
 from turbseg_ros.segmentation.strategies import Strategies
+
+S = TypeVar("S", bound="MotionSegmenter")
 
 
 class MotionSegmenter:
@@ -47,7 +50,7 @@ class MotionSegmenter:
         # None before a stream's first frame.
         self._stream: _Stream | None = None
 
-    def __enter__(self) -> MotionSegmenter:
+    def __enter__(self: S) -> S:
         return self
 
     def __exit__(
