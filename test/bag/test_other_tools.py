@@ -267,7 +267,7 @@ def test_results_in_a_bag_are_not_taken_for_its_input(tmp_path: Path, node: str)
             at = START + number
             bag.write_serialized(TOPIC, IMAGE, cdr(number), at)
             bag.write(f"{node}/centroids", MarkerArray(), at)
-            for name in ("labels", "mask", "objects/slot_0/mask", "overlay", "motion"):
+            for name in ("labels", "mask", "objects/slot_0/mask", "overlay", "clutter"):
                 bag.write(f"{node}/{name}", Image(), at)
             bag.write(f"{node}/overlay/compressed", Image(), at)
     reader = BagReader(tmp_path / "bag")

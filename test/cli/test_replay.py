@@ -7,7 +7,7 @@ import json
 import signal
 import threading
 import time
-from collections import deque
+from collections import Counter, deque
 from dataclasses import replace
 from pathlib import Path
 from types import FrameType
@@ -25,10 +25,17 @@ from turbseg_ros.bag.topics import IMAGE_TOPIC, LABELS_TOPIC, TRUTH_TOPIC
 from turbseg_ros.bag.writer import BagWriter
 from turbseg_ros.cli import errors, evaluate, replay
 from turbseg_ros.cli.errors import StopRequest
+from turbseg_ros.cli.parsers.replay import VIEWS
 from turbseg_ros.evaluation import baselines
 from turbseg_ros.evaluation.labels import read_labels
 from turbseg_ros.messages.images import message_from_image
-from turbseg_ros.messages.results import CentroidMarkers, Output, annotations_message, outputs
+from turbseg_ros.messages.results import (
+    CentroidMarkers,
+    Output,
+    annotations_message,
+    outputs,
+    views,
+)
 from turbseg_ros.parameters import Parameters
 from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResult
 
@@ -292,6 +299,25 @@ def test_a_name_that_cannot_be_is_refused_before_the_work(
     assert replay.main([str(bag), "-o", str(out), option, str(tmp_path / name)]) == 2
     assert complaint in capsys.readouterr().err
     assert not out.exists()
+
+
+def test_topics_for_people_are_written_on_request(bag: Path, tmp_path: Path) -> None:
+    assert replay.main([str(bag), "-o", str(tmp_path / "out"), "--views", "clutter,motion"]) == 0
+    assert replay.main([str(bag), "-o", str(tmp_path / "without")]) == 0
+    shown, without = (BagReader(tmp_path / name) for name in ("out", "without"))
+    assert set(shown.topics) - set(without.topics) == {"/turbseg/clutter", "/turbseg/motion"}
+    counts = Counter(record.topic for record in shown.messages())
+    assert counts["/turbseg/clutter"] == counts["/turbseg/labels"]
+    assert {view.name for view in views()} == set(VIEWS)
+
+
+def test_a_topic_that_is_none_for_people_is_refused(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        replay.main([str(bag), "-o", str(tmp_path / "out"), "--views", "motion,labels"])
+    assert "'labels' is none of overlay, motion, clutter" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("executable", ["replay", "evaluate"])

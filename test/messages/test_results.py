@@ -20,6 +20,7 @@ from turbseg_ros.messages.results import (
     OverlayView,
     UnitDepthPlane,
     annotations_message,
+    clutter_message,
     header_of,
     labels_message,
     mask_message,
@@ -182,6 +183,19 @@ def test_motion_is_the_map_at_its_own_size() -> None:
     message = motion_message(result)
     assert message.encoding == "32FC1"
     np.testing.assert_array_equal(pixels_of(message, np.float32), result.motion_map)
+
+
+def test_clutter_is_what_each_cell_moves_by() -> None:
+    clutter = np.linspace(0, 2, 7 * 11, dtype=np.float32).reshape(7, 11)
+    message = clutter_message(replace(drawn_result(), clutter=clutter))
+    assert message.encoding == "32FC1"
+    np.testing.assert_array_equal(pixels_of(message, np.float32), clutter)
+
+
+def test_clutter_is_zero_in_a_cell_for_four_by_four_pixels_while_nothing_is_known() -> None:
+    unknown = pixels_of(clutter_message(drawn_result()), np.float32)
+    assert unknown.shape == (7, 11)
+    assert not unknown.any()
 
 
 def test_the_overlay_of_a_deep_camera_does_not_flicker() -> None:

@@ -136,7 +136,8 @@ def test_topics_agree_on_what_was_found(camera, labels, probe):
     annotations = probe.listen("/turbseg/annotations", ImageMarker)
     overlays = probe.listen("/turbseg/overlay", Image)
     motions = probe.listen("/turbseg/motion", Image)
-    stamped = [labels, masks, *slots, annotations, overlays, motions]
+    clutters = probe.listen("/turbseg/clutter", Image)
+    stamped = [labels, masks, *slots, annotations, overlays, motions, clutters]
     everything = [*stamped, centroids]
     camera = Camera(probe, rate=30.0)
     images = moving_square(1000)
@@ -168,6 +169,9 @@ def test_topics_agree_on_what_was_found(camera, labels, probe):
         assert sum(mask.any() for mask in in_slots) == min(len(ids), len(slots))
     assert {(m.encoding, m.width, m.height) for m in overlays} == {("bgr8", 160, 120)}
     assert {m.encoding for m in motions} == {"32FC1"}
+    # A cell for four by four pixels.
+    size = {(m.encoding, m.width // 4, m.height // 4) for m in motions}
+    assert {(m.encoding, m.width, m.height) for m in clutters} == size
 
 
 def encoded(image):

@@ -9,7 +9,7 @@ import logging
 import sys
 import traceback
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 
 from turbseg_ros.bag.errors import BagError
 from turbseg_ros.bag.frames import BagFrames, ahead
@@ -32,7 +32,7 @@ from turbseg_ros.exports.film import Film, FilmError
 from turbseg_ros.exports.object_table import SUFFIXES as TABLE_SUFFIXES
 from turbseg_ros.exports.object_table import ObjectTable
 from turbseg_ros.factory import clip_segmenter
-from turbseg_ros.messages.results import CentroidMarkers, Output, outputs, slot_output
+from turbseg_ros.messages.results import CentroidMarkers, Output, outputs, slot_output, views
 from turbseg_ros.overlay import OverlayStrip, write_picture
 from turbseg_ros.segmentation.frame import SegmentationResult, segment
 from turbseg_ros.throttle import ThrottledLogger
@@ -46,11 +46,14 @@ class ResultWriter:
     A slot has its topic from the first object on that holds it, with a mask for each frame. An
     output that fails is warned about, throttled, and counted in `failed` under its name; the
     others are written all the same.
+
+    :param shown: names of the topics for people that are written, too.
     """
 
-    def __init__(self, bag: BagWriter) -> None:
+    def __init__(self, bag: BagWriter, shown: Collection[str] = ()) -> None:
         self._bag = bag
-        self._outputs = outputs(0, CentroidMarkers())
+        wanted = (view for view in views() if view.name in shown)
+        self._outputs = (*outputs(0, CentroidMarkers()), *wanted)
         self._slots: dict[int, Output] = {}
         self._throttled = ThrottledLogger(_LOGGER)
         self.failed: Counter[str] = Counter()
@@ -108,7 +111,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 yield epoch
 
         segmenter = clip_segmenter(parameters, shown)
-        results = ResultWriter(bag)
+        results = ResultWriter(bag, options.views)
         # The next frames are read and segmented while a result is written. When it is stopped,
         # those that were read get their results.
         taken = stop.until_stopped(frames)

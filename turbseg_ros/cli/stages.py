@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from turbseg_ros.arrays import ByteImage
+from turbseg_ros.arrays import ByteImage, Map
 from turbseg_ros.bag.frames import BagFrames
 from turbseg_ros.bag.reader import BagReader
 from turbseg_ros.cli.errors import UsageError, executable
@@ -36,6 +36,8 @@ from turbseg_ros.segmentation.track import Detection
 _TILE_WIDTH = 480
 # M in standard deviations of its noise that is shown at full brightness.
 _BRIGHTEST = 20.0
+# What a place moves by, in the same unit, that is.
+_MOST_RESTLESS = 5.0
 
 
 @dataclass(frozen=True)
@@ -88,7 +90,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         (result,) = [result for result in results if result.frame.stamp == observer.stamp]
     if observer.stages is None:
         raise UsageError(f"nothing to compare frame {options.frame} with")
-    write_picture(options.out, grid(list(_tiles(result, observer.stages)), columns=3))
+    write_picture(options.out, grid(list(_tiles(result, observer.stages)), columns=4))
     return 0
 
 
@@ -97,9 +99,10 @@ def _tiles(result: SegmentationResult, stages: Stages) -> Iterator[ByteImage]:
         "1 frame": Canvas.of(result.frame.image, _TILE_WIDTH),
         "2 velocity against the scene": Canvas.of(_velocity(stages.motion), _TILE_WIDTH),
         "3 motion in units of its noise": Canvas.of(_heat(stages.motion), _TILE_WIDTH),
-        "4 seeds and regions": Canvas.of(_regions(stages), _TILE_WIDTH),
-        "5 outlines against the background": _outlined(result, stages),
-        "6 objects, once sure": draw_overlay(result, width=_TILE_WIDTH),
+        "4 what places move by anyway": Canvas.of(_clutter(stages.motion), _TILE_WIDTH),
+        "5 seeds and regions": Canvas.of(_regions(stages), _TILE_WIDTH),
+        "6 outlines against the background": _outlined(result, stages),
+        "7 objects, once sure": draw_overlay(result, width=_TILE_WIDTH),
     }
     height = titles["1 frame"].image.shape[0]
     for title, canvas in titles.items():
@@ -117,8 +120,20 @@ def _velocity(motion: MotionEstimate) -> ByteImage:
 
 
 def _heat(motion: MotionEstimate) -> ByteImage:
-    strength = np.clip(motion.motion_map / motion.noise * (255.0 / _BRIGHTEST), 0, 255)
+    return _coloured(motion.motion_map / motion.noise, _BRIGHTEST)
+
+
+def _coloured(in_noise: Map, brightest: float) -> ByteImage:
+    strength = np.clip(in_noise * (255.0 / brightest), 0, 255)
     return np.asarray(cv2.applyColorMap(strength.astype(np.uint8), cv2.COLORMAP_INFERNO))
+
+
+def _clutter(motion: MotionEstimate) -> ByteImage:
+    """Colour what each place is known to move by as the motion map is, in units of its noise."""
+    height, width = motion.noise.shape
+    clutter = np.zeros((1, 1), np.float32) if motion.clutter is None else motion.clutter
+    level = cv2.resize(clutter, (width, height), interpolation=cv2.INTER_NEAREST)
+    return _coloured(level / motion.noise, _MOST_RESTLESS)
 
 
 def _regions(stages: Stages) -> ByteImage:

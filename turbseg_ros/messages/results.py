@@ -24,6 +24,7 @@ from visualization_msgs.msg import ImageMarker, Marker, MarkerArray
 from turbseg_ros.messages.images import message_from_image, ns_to_stamp
 from turbseg_ros.messages.stream_monitor import patience_for
 from turbseg_ros.overlay import colour_of, draw_overlay, outlines
+from turbseg_ros.segmentation.clutter import cells_of
 from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResult
 from turbseg_ros.segmentation.tone import ToneMap
 
@@ -97,6 +98,17 @@ class OverlayView:
 def motion_message(result: SegmentationResult) -> Image:
     """Return the motion map as 32FC1, pixels a frame, at processing resolution."""
     return _image(result, result.motion_map, "32FC1")
+
+
+def clutter_message(result: SegmentationResult) -> Image:
+    """Return what each cell of the scene is known to move by anyway, as 32FC1, pixels a frame.
+
+    A cell is four by four pixels at processing resolution; 0 where nothing is known.
+    """
+    if result.clutter is None:
+        unknown = np.zeros(cells_of(result.motion_map.shape), np.float32)
+        return _image(result, unknown, "32FC1")
+    return _image(result, result.clutter, "32FC1")
 
 
 def annotations_message(result: SegmentationResult) -> ImageMarker:
@@ -488,6 +500,7 @@ def views() -> tuple[Output, ...]:
     return (
         Output("overlay", Image, OverlayView().message, shows_image=True),
         Output("motion", Image, motion_message),
+        Output("clutter", Image, clutter_message),
     )
 
 

@@ -11,6 +11,9 @@ from turbseg_ros.cli.options import (
     command_parser,
 )
 
+VIEWS = ("overlay", "motion", "clutter")
+"""What the topics for people are called."""
+
 
 def build_parser() -> argparse.ArgumentParser:
     """Return the parser of its arguments."""
@@ -53,5 +56,21 @@ def build_parser() -> argparse.ArgumentParser:
         metavar="DIR",
         help="also write each object's best picture into a folder",
     )
+    parser.add_argument(
+        "--views",
+        type=_names_of_views,
+        default=(),
+        metavar="NAMES",
+        help=f"also write the node's topics for people, of {', '.join(VIEWS)}: names, commas "
+        "between",
+    )
     add_parameter_options(parser)
     return parser
+
+
+def _names_of_views(text: str) -> tuple[str, ...]:
+    names = tuple(text.split(","))
+    for name in names:
+        if name not in VIEWS:
+            raise argparse.ArgumentTypeError(f"{name!r} is none of {', '.join(VIEWS)}")
+    return names
