@@ -96,7 +96,10 @@ FILE = re.compile(
     r"(?<![\w./~$})<>-])(?:[\w.-]+/)*[\w-]+\.(?:py|md|yaml|xml|rviz|onnx|safetensors)\b"
 )
 # What commands write, and what belongs to the reader, a bag or rosbag2.
-OTHERS = {"cameras.yaml", "metadata.yaml", "policy.xml", "mine/__init__.py", "mine/scorers.py"}
+OTHERS = {
+    *("cameras.yaml", "regions.yaml", "metadata.yaml", "policy.xml"),
+    *("mine/__init__.py", "mine/scorers.py"),
+}
 
 
 @functools.cache

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -16,6 +17,7 @@ from turbseg_ros.overlay import (
     IdAnnotator,
     OutlineAnnotator,
     OverlayStrip,
+    RegionAnnotator,
     TrailAnnotator,
     colour_of,
     draw_overlay,
@@ -25,6 +27,13 @@ from turbseg_ros.overlay import (
     write_picture,
 )
 from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResult
+from turbseg_ros.segmentation.marked_regions import (
+    MarkedRegion,
+    MarkedRegions,
+    MaskPicture,
+    Polygon,
+)
+from turbseg_ros.segmentation.resolution import Resolution
 
 
 def drawn(image: np.ndarray | None = None, object_id: int = 3) -> SegmentationResult:
@@ -55,6 +64,27 @@ def test_outlines_follow_the_scale_of_the_canvas(scale: float) -> None:
     rows, columns = np.nonzero(picture.any(axis=2))
     centre = ((columns.min() + columns.max()) / 2, (rows.min() + rows.max()) / 2)
     assert centre == pytest.approx((60 * scale - 0.5, 35 * scale - 0.5), abs=1.0)
+
+
+def test_regions_are_broken_lines_in_a_colour_for_each_kind_below_what_was_found() -> None:
+    corners = np.array([[0.25, 0.25], [0.75, 0.25], [0.75, 0.75], [0.25, 0.75]])
+    mask = np.zeros((80, 120), bool)
+    mask[70:, :40] = True
+    marked = MarkedRegions(
+        (
+            MarkedRegion("a", False, Polygon(corners)),
+            MarkedRegion("b", True, MaskPicture(mask)),
+        )
+    ).fitted(Resolution((120, 80), (120, 80), (120, 80)))
+    picture = draw_overlay(replace(drawn(), regions=marked), [RegionAnnotator()]).image
+    green, red = (picture[..., channel].astype(int) for channel in (1, 2))
+    is_green, is_red = green > red + 50, red > green + 50
+    # The left side of the one, the right side of the other; about half of each is drawn.
+    assert 0.3 < is_green[22:58, 29:31].any(axis=1).mean() < 0.8
+    assert 0.3 < is_red[72:, 38:41].any(axis=1).mean() < 0.9
+    # The names stand above.
+    assert not picture[26:50, 36:84].any()
+    assert not draw_overlay(drawn(), [RegionAnnotator()]).image.any()
 
 
 def test_trail_is_drawn_where_the_object_was() -> None:

@@ -16,6 +16,7 @@ import cv2
 
 from turbseg_ros.learning.torch_import import require_torch
 from turbseg_ros.parameters import ParameterError, Parameters
+from turbseg_ros.region_file import marked_regions
 from turbseg_ros.segmentation.average import MeanAverage, SlopeAverage
 from turbseg_ros.segmentation.flow import DisFlow, FlowBackend
 from turbseg_ros.segmentation.kalman_tracker import KalmanTracker
@@ -48,7 +49,8 @@ def motion_segmenter(
 
     :param observer: looks at what the stages make of each frame.
     :raises ParameterError: when a network, its weights or its device can't be had, a class that
-        was named can't be loaded, or a network was chosen that is fitted to whole clips.
+        was named can't be loaded, regions can't be read, or a network was chosen that is fitted
+        to whole clips.
     """
     if parameters.refine.mode == "optimise":
         raise ParameterError(
@@ -90,6 +92,7 @@ def strategies(parameters: Parameters) -> Strategies:
         similarity=_chosen("growing.similarity", p, _SIMILARITIES),
         outlines=_chosen("outline.method", p, _OUTLINES),
         tracker=_chosen("tracking.mode", p, _TRACKERS),
+        regions=marked_regions(p.regions),
     )
 
 

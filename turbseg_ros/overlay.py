@@ -38,6 +38,10 @@ _PALETTE: tuple[Colour, ...] = (
 _PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
 _SHADOW: Colour = (20, 20, 20)
 WHITE: Colour = (245, 245, 245)
+_IGNORED: Colour = (70, 70, 235)
+_INCLUDED: Colour = (90, 220, 90)
+# Length of a broken line's pieces, in pixels of the canvas.
+_DASH = 6.0
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 # Height of a capital letter at scale 1, in pixels.
 _FONT_HEIGHT = 21.0
@@ -112,6 +116,36 @@ class OutlineAnnotator:
 
 
 @dataclass(frozen=True)
+class RegionAnnotator:
+    """What was marked in the picture, as broken lines with names: ignored, or to be included."""
+
+    def annotate(self, canvas: Canvas, result: SegmentationResult) -> None:
+        """Draw on `canvas`, in place."""
+        if result.regions is None:
+            return
+        for region, contours in result.regions.contours:
+            colour = _IGNORED if region.ignored else _INCLUDED
+            for contour in contours:
+                dashes = [canvas.fixed_point(dash) for dash in _dashes(contour, canvas.scale)]
+                cv2.polylines(canvas.image, dashes, False, colour, 1, cv2.LINE_AA, _SHIFT)
+            if contours:
+                x, y = (canvas.fixed_point(contours[0].min(axis=0)) >> _SHIFT).tolist()
+                text = f"{region.name} (ignored)" if region.ignored else region.name
+                write_text(canvas, text, (x + 3, y), colour)
+
+
+def _dashes(contour: npt.NDArray[np.float64], scale: float) -> list[npt.NDArray[np.float64]]:
+    """Return every other piece of a closed line, Nx2, that is drawn `scale` times as large."""
+    closed = np.vstack([contour, contour[:1]])
+    lengths = np.hypot(*np.diff(closed, axis=0).T)
+    at = np.concatenate([[0.0], np.cumsum(lengths)])
+    pieces = max(round(float(at[-1]) * scale / _DASH), 2) // 2 * 2
+    ends = np.linspace(0.0, at[-1], pieces + 1)
+    points = np.stack([np.interp(ends, at, closed[:, axis]) for axis in (0, 1)], axis=-1)
+    return [points[k : k + 2] for k in range(0, pieces, 2)]
+
+
+@dataclass(frozen=True)
 class TruthAnnotator:
     """The outline of what truly moves, in white: `truth` is a label image of the frame's size."""
 
@@ -152,6 +186,7 @@ class IdAnnotator:
 
 
 DEFAULT_ANNOTATORS: tuple[Annotator, ...] = (
+    RegionAnnotator(),
     TrailAnnotator(),
     OutlineAnnotator(),
     IdAnnotator(),

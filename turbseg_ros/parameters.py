@@ -64,6 +64,7 @@ class Declaration:
     node_only: bool = False
     replayed_values: tuple[Value, ...] = ()
     former_names: tuple[str, ...] = ()
+    names_file: bool = False
 
     @property
     def condition(self) -> str:
@@ -127,6 +128,7 @@ def parameter(
     node_only: bool = False,
     replayed_values: tuple[Value, ...] = (),
     former_names: tuple[str, ...] = (),
+    names_file: bool = False,
 ) -> T:
     """Declare a dataclass field as a parameter.
 
@@ -136,6 +138,7 @@ def parameter(
     :param replayed_values: of those that only the node reads, values that count in replays too.
     :param former_names: full names that it had; they are taken for it until the next minor
         version, with one warning.
+    :param names_file: whether it names a file, which is read anew each time that it is set.
     """
     declared: T = field(
         default=default,
@@ -150,6 +153,7 @@ def parameter(
             "used_when": used_when or {},
             "node_only": node_only,
             "former_names": former_names,
+            "names_file": names_file,
             "replayed_values": replayed_values,
         },
     )
@@ -472,6 +476,29 @@ class TrackingParameters:
 
 
 @dataclass(frozen=True)
+class RegionsParameters:
+    """Where in the picture objects are looked for."""
+
+    file: str = parameter(
+        "",
+        "File of named polygons, YAML or JSON, in which objects are looked for or not, and what "
+        "size and speed they must have there; see Regions. Empty: none.",
+        names_file=True,
+    )
+    ignore: str = parameter(
+        "",
+        "Picture of the images' size or proportions; where it is white, objects are neither "
+        "looked for nor reported. Empty: none.",
+        names_file=True,
+    )
+    include: str = parameter(
+        "",
+        "Such a picture; objects are looked for only where it is white. Empty: everywhere.",
+        names_file=True,
+    )
+
+
+@dataclass(frozen=True)
 class QosParameters:
     """How the node subscribes to its images."""
 
@@ -558,6 +585,7 @@ class Parameters:
     outline: OutlineParameters = field(default_factory=OutlineParameters)
     refine: RefineParameters = field(default_factory=RefineParameters)
     tracking: TrackingParameters = field(default_factory=TrackingParameters)
+    regions: RegionsParameters = field(default_factory=RegionsParameters)
     qos: QosParameters = field(default_factory=QosParameters)
     diagnostics: DiagnosticsParameters = field(default_factory=DiagnosticsParameters)
 

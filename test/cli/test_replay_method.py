@@ -52,6 +52,67 @@ def test_replayed_labels_score_as_the_evaluation_says(bag: Path, tmp_path: Path)
     assert quality(direct) == quality(recorded)
 
 
+@pytest.fixture
+def regions(tmp_path: Path) -> str:
+    file = tmp_path / "regions.yaml"
+    # What the square goes over at last.
+    file.write_text("regions: [{name: last, polygon: [[0.4, 0], [1, 0], [1, 1], [0.4, 1]]}]")
+    return f"regions.file:={file}"
+
+
+def test_regions_are_ignored_alike_in_replay_and_evaluation(
+    bag: Path, tmp_path: Path, regions: str
+) -> None:
+    everywhere = replayed(bag, tmp_path / "everywhere")
+    watched = replayed(bag, tmp_path / "out", "-p", regions)
+    assert any(any(labels) for _, labels in watched)
+    assert watched != everywhere
+    direct, recorded = tmp_path / "direct.json", tmp_path / "recorded.json"
+    evaluate.main([str(bag), "--json", str(direct), "-p", regions])
+    arguments = ["--predictions", str(tmp_path / "out"), "--json", str(recorded)]
+    evaluate.main([str(bag), *arguments])
+    assert quality(direct) == quality(recorded)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("regions.file", "regions: [{polygon: [[0, 0]]}]", "a polygon has 3 to 500 corners"),
+        (
+            "regions.file",
+            "image_size: [9, 90]\nregions: [{polygon: [[0, 0], [9, 0], [9, 9]]}]",
+            "9x",
+        ),
+        ("regions.ignore", "no picture", "not a picture"),
+        ("regions.include", None, "No such file or directory"),
+    ],
+)
+@pytest.mark.parametrize("executable", ["replay", "evaluate"])
+def test_regions_that_are_wrong_are_one_line(
+    executable: str,
+    name: str,
+    content: str | None,
+    said: str,
+    bag: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    file = tmp_path / "given"
+    if content is not None:
+        file.write_text(content)
+    arguments = [str(bag), "-p", f"{name}:={file}"]
+    if executable == "replay":
+        status = replay.main([*arguments, "-o", str(tmp_path / "out")])
+    else:
+        status = evaluate.main(arguments)
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    # What an evaluation fails in may be one of many bags.
+    assert status == {"replay": 2, "evaluate": 1}[executable]
+    assert line.startswith(f"turbseg_{executable}: parameter {name}: {file}: ")
+    assert said in line
+    assert not (tmp_path / "out").exists()
+
+
 def quality(file: Path) -> dict[str, object]:
     (scores,) = json.loads(file.read_text())["bags"]
     return {name: scores[name] for name in ("frames", "j", "dice", "boundary_f", "id_switches")}

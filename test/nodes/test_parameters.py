@@ -13,6 +13,7 @@ from turbseg_ros.parameters import (
     Parameters,
     declarations,
 )
+from turbseg_ros.region_file import marked_regions
 
 LIVE_FLOAT = "diagnostics.min_rate"
 READ_ONLY = "queue_size"
@@ -32,7 +33,11 @@ def start(context):
         )
         nodes.append(node)
         changes = []
-        handler = ParameterHandler(node, lambda *change: changes.append(change))
+        handler = ParameterHandler(
+            node,
+            lambda *change: changes.append(change),
+            check=lambda parameters: marked_regions(parameters.regions),
+        )
         return node, handler, changes
 
     yield start
@@ -48,6 +53,30 @@ def test_every_parameter_is_declared_with_its_default_and_described(start):
         descriptor = node.describe_parameter(declaration.name)
         assert declaration.description in descriptor.description
         assert descriptor.read_only == declaration.read_only
+
+
+def test_a_file_of_regions_is_read_before_it_is_taken(start, tmp_path):
+    node, handler, changes = start()
+    missing = RosParameter("regions.file", value=str(tmp_path / "missing.yaml"))
+    refused = node.set_parameters_atomically([missing])
+    assert not refused.successful
+    assert refused.reason == (
+        f"parameter regions.file: {tmp_path}/missing.yaml: No such file or directory"
+    )
+    assert handler.current == Parameters()
+    assert not changes
+
+
+def test_a_file_that_is_set_again_is_told_again(start, tmp_path):
+    file = tmp_path / "regions.yaml"
+    file.write_text("regions: [{polygon: [[0, 0], [1, 0], [1, 1]]}]")
+    node, handler, changes = start()
+    given = RosParameter("regions.file", value=str(file))
+    for _ in range(2):
+        assert node.set_parameters_atomically([given]).successful
+    (_, first), again = changes
+    assert first == handler.current
+    assert again == (first, first)
 
 
 def test_an_integer_range_and_unit_are_described():

@@ -37,7 +37,7 @@ from turbseg_ros.cli.replay import main as replay
 from turbseg_ros.factory import motion_segmenter
 from turbseg_ros.messages.images import image_from_message, message_from_image, ns_to_stamp
 from turbseg_ros.parameters import Parameters
-from turbseg_ros.segmentation.frame import Frame
+from turbseg_ros.segmentation.frame import Frame, segment
 
 # Small enough to keep up on a busy machine; nothing is ever dropped.
 SETTINGS = {
@@ -315,6 +315,7 @@ def test_a_disabled_node_hears_nothing_until_it_is_enabled(camera, labels, probe
 def set_parameters(probe, **values):
     kinds: dict[type, tuple[str, int]] = {int: ("integer_value", ParameterType.PARAMETER_INTEGER)}
     kinds[float] = ("double_value", ParameterType.PARAMETER_DOUBLE)
+    kinds[str] = ("string_value", ParameterType.PARAMETER_STRING)
     parameters = []
     for name, value in values.items():
         field, kind = kinds[type(value)]
@@ -344,6 +345,31 @@ def test_parameters_change_live_or_are_refused_with_the_reason(camera, labels, p
         "seed__delta1": default.seed.delta1,
     }
     assert set_parameters(probe, **restored).successful
+
+
+def test_regions_are_ignored_from_when_their_file_is_set(camera, labels, probe, node, tmp_path):
+    file = tmp_path / "regions.yaml"
+    # The right half of what the square goes over.
+    file.write_text("regions: [{name: right, polygon: [[0.5, 0], [1, 0], [1, 1], [0.5, 1]]}]")
+    parameters = Parameters.from_mapping({**SETTINGS, "regions.file": str(file)})
+    clip = [Frame(number * SECOND // 30, image) for number, image in enumerate(moving_square(40))]
+    with motion_segmenter(parameters) as segmenter:
+        expected = list(segment(clip, segmenter))
+    assert any(result.labels.any() for result in expected)
+    refused = set_parameters(probe, regions__file=f"{file}.missing")
+    assert not refused.successful
+    assert refused.reason.endswith("regions.yaml.missing: No such file or directory")
+    assert set_parameters(probe, regions__file=str(file)).successful
+    try:
+        wait_for_answers(probe, labels, camera.play(moving_square(40)))
+        for label, result in zip(labels, expected, strict=True):
+            found = image_from_message(label)
+            assert not found[:, 80:].any()
+            np.testing.assert_array_equal(found > 0, result.labels > 0)
+        assert set_parameters(probe, regions__file=str(file)).successful
+        probe.wait_for(lambda: "regions are read again" in node.output, "the log")
+    finally:
+        assert set_parameters(probe, regions__file="").successful
 
 
 def test_markers_lie_on_the_unit_depth_plane_once_the_camera_is_known(node, probe):

@@ -10,7 +10,7 @@ from support.node_harness import TIMEOUT
 from turbseg_ros.messages.images import ImageConversionError
 from turbseg_ros.nodes.diagnostics import Event, Statistics
 from turbseg_ros.nodes.worker import Arrival, Inbox, SegmentationWorker
-from turbseg_ros.parameters import Parameters
+from turbseg_ros.parameters import ParameterError, Parameters
 from turbseg_ros.segmentation.frame import Frame, SegmentationResult
 
 PERIOD = 33_000_000
@@ -213,6 +213,19 @@ def test_a_failing_frame_is_answered_empty_and_the_next_go_on(harness):
     (line,) = [line for line in harness.logger.lines if "RuntimeError: broken" in line]
     assert "the image of 0.330000000 s" in line
     assert harness.segmenter.calls[11:13] == ["reset", 11 * PERIOD]
+
+
+def test_what_does_not_fit_the_images_is_one_line(harness, monkeypatch):
+    def refuse(*_, **__):
+        raise ParameterError("regions are of another picture")
+
+    monkeypatch.setattr(harness.segmenter, "push", refuse)
+    harness.submit(*stamps(3))
+    harness.finish()
+    assert harness.answered == stamps(3)
+    lines = [line for line in harness.logger.lines if "another picture" in line]
+    assert lines
+    assert not any("Traceback" in line for line in lines)
 
 
 def test_each_kind_of_bad_image_is_warned_about_once(harness):

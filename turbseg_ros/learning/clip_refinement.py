@@ -261,6 +261,8 @@ def redrawn(result: SegmentationResult, probability: Map) -> SegmentationResult:
     height, width = result.labels.shape
     moves = cv2.resize(probability, (width, height)) > 0.5
     _, parts = cv2.connectedComponents(moves.astype(np.uint8))
+    if result.regions is not None:
+        moves &= ~result.regions.ignored((width, height))
     known = moves & np.isin(parts, parts[result.labels > 0])
     labels = np.where(known, _nearest(result.labels), 0).astype(np.uint16)
     objects = [

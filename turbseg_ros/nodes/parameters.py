@@ -66,14 +66,22 @@ class ParameterHandler:
     The node has to be made with `automatically_declare_parameters_from_overrides`, the public way
     of rclpy to learn which values were given, names that nobody declares among them. Such names
     are warned about. A change at run time is checked as a whole, refused with the reason or
-    taken, and only then told to `on_change`: the parameters before and after it.
+    taken, and only then told to `on_change`: the parameters before and after it, which are equal
+    when one that names a file was set again.
 
+    :param check: refuses parameters by a `ParameterError`, for files that they name.
     :raises ParameterError: when a value that the node was started with is refused.
     """
 
-    def __init__(self, node: Node, on_change: Callable[[Parameters, Parameters], None]) -> None:
+    def __init__(
+        self,
+        node: Node,
+        on_change: Callable[[Parameters, Parameters], None],
+        check: Callable[[Parameters], object] = lambda _: None,
+    ) -> None:
         self._declarations = {declaration.name: declaration for declaration in declarations()}
         self._on_change = on_change
+        self._check = check
         self._logger = node.get_logger()
         self.current = _given_at_start(node)
         self._declare_on(node)
@@ -102,9 +110,12 @@ class ParameterHandler:
     def _is_float(self, name: str) -> bool:
         return name in self._declarations and self._declarations[name].type is float
 
+    def _names_file(self, name: str) -> bool:
+        return name in self._declarations and self._declarations[name].names_file
+
     def _validate(self, changes: list[RosParameter]) -> SetParametersResult:
         try:
-            self._changed(changes)
+            self._check(self._changed(changes))
         except ParameterError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
@@ -112,7 +123,7 @@ class ParameterHandler:
     def _apply(self, changes: list[RosParameter]) -> None:
         before, self.current = self.current, self._changed(changes)
         self._warn_of_idle(before)
-        if self.current != before:
+        if self.current != before or any(self._names_file(change.name) for change in changes):
             self._on_change(before, self.current)
 
     def _warn_of_idle(self, before: Parameters) -> None:

@@ -31,6 +31,7 @@ from turbseg_ros.nodes.receiving_node import ReceivingNode
 from turbseg_ros.nodes.subscription import MatchingSubscription
 from turbseg_ros.nodes.worker import SegmentationWorker
 from turbseg_ros.parameters import ParameterError, Parameters
+from turbseg_ros.region_file import marked_regions
 from turbseg_ros.segmentation.frame import Frame, SegmentationResult
 
 _DIAGNOSTICS_PERIOD = 1.0
@@ -61,7 +62,9 @@ class TurbsegNode(ReceivingNode):
 
     def __init__(self) -> None:
         super().__init__("turbseg", automatically_declare_parameters_from_overrides=True)
-        self._parameter_handler = ParameterHandler(self, on_change=self._on_parameters)
+        self._parameter_handler = ParameterHandler(
+            self, on_change=self._on_parameters, check=lambda p: marked_regions(p.regions)
+        )
         parameters = self._parameter_handler.current
         _refuse_whole_clip(parameters)
 
@@ -180,8 +183,10 @@ class TurbsegNode(ReceivingNode):
         changed = after.as_mapping().items() - before.as_mapping().items()
         for name, value in sorted(changed):
             self.get_logger().info(f"{name} is now {value}")
+        if after == before:
+            self.get_logger().info("regions are read again")
         # What only the node itself reads leaves the window as it is.
-        if dataclasses.replace(after, diagnostics=before.diagnostics) != before:
+        if after == before or dataclasses.replace(after, diagnostics=before.diagnostics) != before:
             self._worker.reconfigure(after)
 
     def _tell_misfit(self, reason: str) -> None:

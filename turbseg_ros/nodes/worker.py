@@ -14,7 +14,7 @@ from typing import Any, Protocol
 from turbseg_ros.messages.images import ImageConversionError
 from turbseg_ros.messages.stream_monitor import Action, StreamMonitor
 from turbseg_ros.nodes.diagnostics import Event, Statistics
-from turbseg_ros.parameters import Parameters
+from turbseg_ros.parameters import ParameterError, Parameters
 from turbseg_ros.segmentation.frame import Frame, SegmentationResult
 from turbseg_ros.throttle import ThrottledLogger
 
@@ -294,6 +294,10 @@ class SegmentationWorker:
     def _answer(self, segment: Callable[[], list[SegmentationResult]], what: str) -> None:
         try:
             results = segment()
+        except ParameterError as error:
+            # What was asked for doesn't fit these images, which is no fault of ours.
+            self._recover(f"segmenting {what} failed: {error}")
+            return
         except Exception:
             self._recover(f"segmenting {what} failed: {traceback.format_exc()}")
             return

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from turbseg_ros.arrays import Image, Labels, Map, Mask
+from turbseg_ros.segmentation.marked_regions import FittedRegions
 
 _MAX_LABELS = 65535
 
@@ -120,7 +121,7 @@ class SegmentationResult:
     `clutter` is float32, a cell for each four by four pixels at processing resolution: by how many
     pixels a frame (of the input image) a place is known to move without anything being there; None
     while nothing is known. `coasted` tells that its objects coasted under load: propagated, not
-    looked for.
+    looked for. `regions` is what its user marked in the picture, None where that is not known.
     """
 
     frame: Frame
@@ -131,6 +132,7 @@ class SegmentationResult:
     ego_motion_model: str
     coasted: bool = False
     clutter: Map | None = None
+    regions: FittedRegions | None = None
 
     @classmethod
     def empty(cls, frame: Frame, motion_shape: tuple[int, int] = (0, 0)) -> SegmentationResult:

@@ -12,6 +12,7 @@ from turbseg_ros.arrays import Labels
 from turbseg_ros.segmentation.cropped_mask import CroppedMask
 from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResult, label_of
 from turbseg_ros.segmentation.geometry import scaling
+from turbseg_ros.segmentation.marked_regions import FittedRegions
 from turbseg_ros.segmentation.motion import MotionEstimate
 from turbseg_ros.segmentation.resolution import Resolution
 from turbseg_ros.segmentation.track import Detection, Observation
@@ -21,7 +22,8 @@ from turbseg_ros.segmentation.track import Detection, Observation
 class PendingResult:
     """A segmented frame that waits until it is known which of its tracks are objects.
 
-    `motion` is None where there was nothing to compare the frame with.
+    `motion` is None where there was nothing to compare the frame with, `regions` where none are
+    known to be marked.
     """
 
     frame: Frame
@@ -29,6 +31,7 @@ class PendingResult:
     motion: MotionEstimate | None = None
     observations: Sequence[Observation] = ()
     coasted: bool = False
+    regions: FittedRegions | None = None
 
     def result(self) -> SegmentationResult:
         """Return the result: objects are the tracks that are confirmed by now."""
@@ -37,7 +40,13 @@ class PendingResult:
         objects = self._draw_objects(labels)
         if self.motion is None:
             empty = SegmentationResult.empty(self.frame, self.resolution.processing_shape)
-            return replace(empty, labels=labels, objects=objects, coasted=self.coasted)
+            return replace(
+                empty,
+                labels=labels,
+                objects=objects,
+                coasted=self.coasted,
+                regions=self.regions,
+            )
         scale, clutter = width / self.resolution.processing[0], self.motion.clutter
         return SegmentationResult(
             frame=self.frame,
@@ -48,6 +57,7 @@ class PendingResult:
             ego_motion_model=self.motion.ego_motion_model,
             coasted=self.coasted,
             clutter=None if clutter is None else clutter * np.float32(scale),
+            regions=self.regions,
         )
 
     def _draw_objects(self, labels: Labels) -> tuple[MovingObject, ...]:
@@ -56,7 +66,9 @@ class PendingResult:
         for observation in self.observations:
             if not observation.track.confirmed:
                 continue
-            found = _at_input_resolution(observation.detection, self.resolution)
+            found = self._reported(observation)
+            if found is None:
+                continue
             there = labels[found.box.slices]
             mask = found.mask & (there == 0)
             if mask.any():
@@ -64,8 +76,22 @@ class PendingResult:
                 objects.append(self._moving_object(observation, CroppedMask(found.box, mask)))
         return tuple(sorted(objects, key=lambda found: found.id))
 
+    def _reported(self, observation: Observation) -> CroppedMask | None:
+        """Return what of an object is reported, at the input's resolution; None for nothing."""
+        found = _at_input_resolution(observation.detection, self.resolution)
+        if self.regions is None:
+            return found
+        period = self.frame.period
+        speed = float(np.hypot(*observation.velocity)) * self._scale
+        return self.regions.reported(found, None if period is None else speed / period)
+
+    @property
+    def _scale(self) -> float:
+        """How many input pixels a pixel at detail resolution is wide."""
+        return self.resolution.input[0] / self.resolution.detail[0]
+
     def _moving_object(self, observation: Observation, found: CroppedMask) -> MovingObject:
-        scale = self.resolution.input[0] / self.resolution.detail[0]
+        scale = self._scale
         vx, vy = observation.velocity
         return MovingObject.from_mask(
             found.mask,

@@ -77,6 +77,7 @@ class Pipeline:
             self._travelled_objects,
         )
         self._scene = SceneMemory()
+        self._regions = strategies.regions.fitted(resolution)
         # The frame that was tracked last.
         self._tracked = -1
         self._outliner = Outliner(self.window, resolution, strategies.outlines, observer)
@@ -91,7 +92,7 @@ class Pipeline:
         if moving is None:
             tracker.update([], ego_motion, 0.0, self.window[index].detail)
             self._tracked = index
-            return PendingResult(frame, resolution)
+            return PendingResult(frame, resolution, regions=self._regions)
         self.overlay = moving.overlay
         self._observer.motion(frame.stamp, moving)
         shape = resolution.detail_shape
@@ -107,6 +108,7 @@ class Pipeline:
             detections = self._outliner.detections(
                 index, moving, expected, overlays, tilt, frame.stamp
             )
+            detections = self._regions.looked_at(detections, expected)
             self._observer.detections(frame.stamp, detections, resolution)
             # Tracks: which object is which of those before (eq. 4).
             with self._observer.stage("tracking"):
@@ -119,7 +121,9 @@ class Pipeline:
         masks = [seen.detection.outline.dilated(GUARD, shape) for seen in observations]
         self.window.mark_objects(index, [*masks, *overlays])
         self._schedule.keep_where(union_mask(masks, shape))
-        return PendingResult(frame, resolution, moving.motion, observations, coasted)
+        return PendingResult(
+            frame, resolution, moving.motion, observations, coasted, self._regions
+        )
 
     def measure_motion(self, job: MotionJob) -> Moving | None:
         """Measure what moves in a frame; None where there is too little to compare it with."""
@@ -143,7 +147,7 @@ class Pipeline:
             objects = cells_of_objects(job.objects, self.resolution.detail, shape)
             textured = evidence.textured()
             motions = self._scene.with_clutter(motions, textured, objects, job.frames)
-            grow = functools.partial(self._grow, evidence)
+            grow = functools.partial(self._grow, evidence, objects)
             moving = what_moves(motions, grow, self.resolution.detail)
         return replace(moving, overlay=overlay)
 
@@ -161,10 +165,11 @@ class Pipeline:
         )
 
     def _grow(
-        self, evidence: PictureEvidence, motion: MotionEstimate, taken: Mask
+        self, evidence: PictureEvidence, objects: Mask, motion: MotionEstimate, taken: Mask
     ) -> list[Region]:
         seed, growing = self._parameters.seed, self._parameters.growing
-        restless = replace(motion, noise=with_clutter(motion.noise, motion.clutter, seed.clutter))
+        noise = with_clutter(motion.noise, motion.clutter, seed.clutter)
+        restless = replace(motion, noise=self._regions.without_seeds(noise, objects))
         strength = seed_strength(restless, seed.size, seed.delta1, seed.delta2)
         strength = evidence.borne_out(strength, seed.size, seed.evidence)
         similarity = self._strategies.similarity

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from turbseg_ros.segmentation.flow import FlowBackend
+from turbseg_ros.segmentation.marked_regions import MarkedRegions
 from turbseg_ros.segmentation.motion import MotionMeasure
 from turbseg_ros.segmentation.outliner import OutlineMethod
 from turbseg_ros.segmentation.region_growing import Similarity
@@ -13,10 +14,14 @@ from turbseg_ros.segmentation.track import Tracker
 
 @dataclass(frozen=True)
 class Strategies:
-    """What computes flow, measures motion, grows regions, draws outlines and keeps ids."""
+    """What computes flow, measures motion, grows regions, draws outlines and keeps ids.
+
+    `regions` is where in the picture that is done.
+    """
 
     flow: FlowBackend
     measure: MotionMeasure
     similarity: Similarity
     outlines: OutlineMethod
     tracker: Tracker
+    regions: MarkedRegions
