@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import Image
-from visualization_msgs.msg import MarkerArray
+from visualization_msgs.msg import Marker, MarkerArray
 
 from support.node_harness import (
     SECOND,
@@ -57,16 +57,25 @@ def test_full_hd_at_30_hz_is_answered_frame_by_frame(tmp_path, probe, seconds):
         message = message_from_image(colour, "bgr8", 0)
         before = node.processor_seconds
         stamps = [camera.send(message) for _ in range(frames)]
-        probe.wait_for(lambda: len(centroids) == frames, "all markers")
+        probe.wait_for(lambda: len(answered(centroids)) == frames, "all markers")
         cost = 1000.0 * (node.processor_seconds - before) / frames
         wait_for_last_count(probe, diagnostics)
         shown = figures(diagnostics)
         assert node.stop(signal.SIGINT) == 0
     print(f"{cost:.1f} ms of processor time a frame; {latencies(diagnostics)}")
-    # Deletions follow the last one.
-    assert [stamps_of(array.markers)[0] for array in centroids[:frames]] == stamps
+    assert answered(centroids) == stamps
     assert shown["images dropped"] == shown["images lost by the middleware"] == "0"
     assert labels.count > 0
+
+
+def answered(centroids: list[MarkerArray]) -> list[int]:
+    """Return the stamps of the frames that markers came of.
+
+    Where a busy machine lets the camera pause, they are deleted meanwhile.
+    """
+    return stamps_of(
+        array.markers[0] for array in centroids if array.markers[0].action != Marker.DELETE
+    )
 
 
 def wait_for_last_count(probe: Probe, diagnostics: list[DiagnosticArray]) -> None:
@@ -145,19 +154,17 @@ def test_a_listener_that_stands_still_does_not_slow_the_node(tmp_path, probe):
             sent = [camera.send(image)]
             while not (tmp_path / "heard").read_text():
                 sent.append(camera.send(image))
-            probe.wait_for(
-                lambda: centroids and stamps_of(centroids[-1].markers)[0] == sent[-1], "its answer"
-            )
+            probe.wait_for(lambda: answered(centroids)[-1:] == sent[-1:], "its answer")
             slow.send_signal(signal.SIGSTOP)
             centroids.clear()
             began = time.monotonic()
             stamps = [camera.send(image) for _ in range(90)]
             sending = time.monotonic() - began
-            probe.wait_for(lambda: len(centroids) == 90, "all answers")
+            probe.wait_for(lambda: len(answered(centroids)) == 90, "all answers")
             # Were each to wait for the listener, for a tenth of a second only, it would take nine,
             # or thrice as long as sending. A busy machine is slow at both.
             assert time.monotonic() - began < 2.0 * sending + 1.0
-            assert stamps_of(array.markers[0] for array in centroids) == stamps
+            assert answered(centroids) == stamps
             assert node.stop(signal.SIGINT) == 0
         finally:
             slow.kill()
