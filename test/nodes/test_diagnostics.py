@@ -10,6 +10,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 
 from turbseg_ros.nodes.diagnostics import Event, NodeState, Statistics, status_message
 from turbseg_ros.parameters import DiagnosticsParameters
+from turbseg_ros.segmentation.condition import Condition
 from turbseg_ros.segmentation.frame import Frame, SegmentationResult
 
 RESULT = SegmentationResult(
@@ -80,6 +81,29 @@ def test_tells_how_many_were_answered_coasting(statistics, clock):
     assert (message.level, message.message) == (OK, "2 images answered by coasting")
     assert figures(message)["images answered by coasting"] == "2"
     assert figures(message)["images answered"] == "23"
+
+
+def test_tells_of_frames_that_were_passed_over(statistics, clock):
+    run_for_a_second(statistics, clock)
+    for condition in (Condition.DAMAGED, Condition.SOUND, Condition.BLIND, Condition.DAMAGED):
+        result = replace(RESULT, condition=condition)
+        statistics.answered(result, since_stamp=0.2, since_arrival=0.1)
+    message = status(statistics.take())
+    assert message.level == DiagnosticStatus.WARN
+    assert message.message == ("2 images passed over: damaged; 1 images passed over: blind")
+    shown = figures(message)
+    assert shown["images passed over: damaged"] == "2"
+    assert shown["images passed over: repeated"] == "0"
+
+
+def test_a_cut_or_a_repeated_picture_is_told_without_a_warning(statistics, clock):
+    run_for_a_second(statistics, clock)
+    for condition in (Condition.CUT, Condition.REPEATED):
+        result = replace(RESULT, condition=condition)
+        statistics.answered(result, since_stamp=0.2, since_arrival=0.1)
+    message = status(statistics.take())
+    assert message.level == OK
+    assert message.message == "1 images passed over: repeated; 1 images of another scene"
 
 
 def test_reports_rates_latencies_and_what_was_seen(statistics, clock):

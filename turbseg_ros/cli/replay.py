@@ -34,6 +34,7 @@ from turbseg_ros.exports.object_table import ObjectTable
 from turbseg_ros.factory import clip_segmenter
 from turbseg_ros.messages.results import CentroidMarkers, Output, outputs, slot_output, views
 from turbseg_ros.overlay import OverlayStrip, write_picture
+from turbseg_ros.segmentation.condition import Condition
 from turbseg_ros.segmentation.frame import SegmentationResult, segment
 from turbseg_ros.throttle import ThrottledLogger
 
@@ -98,6 +99,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     _check_outputs(options)
     exports = _Exports(options, len(frames))
     count = 0
+    conditions: Counter[Condition] = Counter()
     with (
         stopping_at_signals("turbseg_replay") as stop,
         BagWriter(options.out) as bag,
@@ -120,6 +122,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             results.write(result)
             exports.add(result)
             count += 1
+            conditions[result.condition] += 1
         if stop.cut and not count:
             stop.check()
         if not count:
@@ -135,7 +138,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     failed = "".join(
         f", {name} missing in {times} frames" for name, times in results.failed.items()
     )
-    print(f"{options.out}: {count} results, {frames.skipped} images skipped{lost}{failed}")
+    noticed = "".join(
+        f", {conditions[condition]} {condition.value}"
+        for condition in Condition
+        if condition is not Condition.SOUND and conditions[condition]
+    )
+    print(
+        f"{options.out}: {count} results, {frames.skipped} images skipped{noticed}{lost}{failed}"
+    )
     print(exports.objects.summary())
     return 1 if failed else 0
 

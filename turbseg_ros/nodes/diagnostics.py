@@ -15,6 +15,7 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
 from turbseg_ros.parameters import DiagnosticsParameters
+from turbseg_ros.segmentation.condition import Condition
 from turbseg_ros.segmentation.frame import SegmentationResult
 
 # Failures this long ago, in seconds, tell that a new one is no single accident.
@@ -35,6 +36,18 @@ class Event(enum.Enum):
     SKIPPED = "skipped"
     FAILED = "failed"
     INCOMPLETE = "answered without some output"
+    DAMAGED = "passed over: damaged"
+    BLIND = "passed over: blind"
+    REPEATED = "passed over: repeated"
+    CUT = "of another scene"
+
+
+_EVENT_OF = {
+    Condition.DAMAGED: Event.DAMAGED,
+    Condition.BLIND: Event.BLIND,
+    Condition.REPEATED: Event.REPEATED,
+    Condition.CUT: Event.CUT,
+}
 
 
 @dataclass(frozen=True)
@@ -85,6 +98,8 @@ class Statistics:
         with self._lock:
             self._count(Event.ANSWERED, 1)
             self._count(Event.COASTED, int(result.coasted))
+            if result.condition in _EVENT_OF:
+                self._count(_EVENT_OF[result.condition], 1)
             self._last = result
             self._from_stamp.append(since_stamp)
             self._from_arrival.append(since_arrival)
@@ -191,7 +206,17 @@ def _findings(report: Report, state: NodeState) -> Iterator[tuple[bytes, str]]:
         yield error, f"segmenting failed {report.failures} times; the log tells why"
     if report.events[Event.COASTED]:
         yield ok, f"{report.events[Event.COASTED]} images {Event.COASTED.value}"
-    for event in (Event.DROPPED, Event.LOST, Event.SKIPPED, Event.INCOMPLETE):
+    for event in (Event.REPEATED, Event.CUT):
+        if report.events[event]:
+            yield ok, f"{report.events[event]} images {event.value}"
+    for event in (
+        Event.DROPPED,
+        Event.LOST,
+        Event.SKIPPED,
+        Event.INCOMPLETE,
+        Event.DAMAGED,
+        Event.BLIND,
+    ):
         if report.events[event]:
             yield warn, f"{report.events[event]} images {event.value}"
     if report.last and _relative_tilt(report.last) > state.limits.max_turbulence:

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from turbseg_ros.arrays import Image, Labels, Map, Mask
+from turbseg_ros.segmentation.condition import Condition
 from turbseg_ros.segmentation.marked_regions import FittedRegions
 
 _MAX_LABELS = 65535
@@ -122,6 +123,8 @@ class SegmentationResult:
     pixels a frame (of the input image) a place is known to move without anything being there; None
     while nothing is known. `coasted` tells that its objects coasted under load: propagated, not
     looked for. `regions` is what its user marked in the picture, None where that is not known.
+    looked for. `condition` tells what the frame was like: one that is damaged, blind or repeated
+    is answered with what was known before it, and has no say in other frames' results.
     """
 
     frame: Frame
@@ -133,6 +136,7 @@ class SegmentationResult:
     coasted: bool = False
     clutter: Map | None = None
     regions: FittedRegions | None = None
+    condition: Condition = Condition.SOUND
 
     @classmethod
     def empty(cls, frame: Frame, motion_shape: tuple[int, int] = (0, 0)) -> SegmentationResult:

@@ -3,15 +3,24 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from types import TracebackType
 from typing import TypeVar
 
 from turbseg_ros.parameters import Parameters
+from turbseg_ros.segmentation.condition import Condition
 from turbseg_ros.segmentation.frame import Frame, SegmentationResult
 from turbseg_ros.segmentation.load import Load
 from turbseg_ros.segmentation.observer import StageObserver
+from turbseg_ros.segmentation.passed_frames import (
+    PATIENCE,
+    DoubtfulFrames,
+    ReadyFrame,
+    WaitingFrame,
+    passed_over,
+)
 from turbseg_ros.segmentation.pending_result import PendingResult
 from turbseg_ros.segmentation.pipeline import Pipeline
 from turbseg_ros.segmentation.preparation import FramePreparer
@@ -27,7 +36,8 @@ class MotionSegmenter:
     `push` takes frames in the order of time and returns the results that are ready; `flush`
     returns those of all frames that are left. Every frame gets exactly one result, in order. A
     frame of another size, kind or scene than those before, or one that begins a stream, starts a
-    new window; ids go on. `close` ends its threads; used in a `with`, it closes itself.
+    new window; ids go on. Frames that are damaged or repeated are passed over; see
+    `DoubtfulFrames`. `close` ends its threads; used in a `with`, it closes itself.
     """
 
     def __init__(
@@ -132,20 +142,27 @@ class MotionSegmenter:
             return Load.of(waiting(), self._parameters.latency)
 
         results = self._take_in(load)
+        if self._stream is not None:
+            results += self._join(self._stream.settle(), load)
         return results if self._stream is None else results + self._stream.finish(load)
 
     def _take_in(self, load: Callable[[], Load]) -> list[SegmentationResult]:
         """Let the frame that was prepared join the others; after a cut, give what was before."""
-        if self._stream is None:
-            return []
-        after_cut = self._stream.take_in()
-        if after_cut is None:
-            return []
-        results = self._stream.finish(load)
-        self.reset()
-        self._stream = self._begin(after_cut)
-        self._stream.prepare(after_cut)
-        return results + self._take_in(load)
+        return [] if self._stream is None else self._join(self._stream.take_in(), load)
+
+    def _join(
+        self, settled: Sequence[ReadyFrame], load: Callable[[], Load]
+    ) -> list[SegmentationResult]:
+        """Let frames join the stream, or be passed over; a cut ends it and begins another."""
+        results = []
+        for ready in settled:
+            assert self._stream is not None
+            if ready.condition is Condition.CUT:
+                results += self._stream.finish(load)
+                self.reset()
+                self._stream = self._begin(ready.frame)
+            self._stream.join(ready)
+        return results
 
     def _resolution_of(self, frame: Frame) -> Resolution:
         sizes = self._parameters.resolution
@@ -183,8 +200,14 @@ class _Stream:
         self._pipeline = pipeline
         self._tracker = strategies.tracker
         self._delay = 0 if causal else strategies.tracker.delay
-        self._frames: dict[int, Frame] = {}
+        self._doubtful = DoubtfulFrames(causal)
+        # Frames not yet answered whose conditions are settled.
+        self._waiting: deque[WaitingFrame] = deque()
+        # How many frames have been passed over since the newest that joined the window, and since
+        # the one that was segmented last.
+        self._passed, self._unseen = 0, 0
         self._pending: deque[PendingResult] = deque()
+        self._last: PendingResult | None = None
 
     def takes(self, frame: Frame) -> bool:
         """Whether a frame goes on where those before stopped, in their size and type."""
@@ -195,31 +218,46 @@ class _Stream:
         window = self._pipeline.window
         self._preparer.start(frame, window.count, window.newest, self._pipeline.overlay)
 
-    def take_in(self) -> Frame | None:
-        """Let the prepared frame join the window; return it instead if it follows a cut."""
+    def take_in(self) -> list[ReadyFrame]:
+        """Take the prepared frame; return those whose conditions are settled by it."""
         finished = self._preparer.finish()
         if finished is None:
-            return None
+            return []
         frame, prepared = finished
-        if self._pipeline.window.follows_cut(prepared):
-            return frame
-        self._pipeline.window.append(prepared)
-        self._frames[prepared.index] = frame.kept()
-        return None
+        if prepared.condition is not Condition.SOUND and self._passed <= PATIENCE:
+            self._preparer.forget_tone()
+        return self._doubtful.take(ReadyFrame(frame.kept(), prepared))
+
+    def settle(self) -> list[ReadyFrame]:
+        """Return the frames whose conditions are not settled as what they seem to be for now."""
+        return self._doubtful.settle()
+
+    def join(self, ready: ReadyFrame) -> None:
+        """Let a frame join the window, or be passed over."""
+        self._waiting.append(ready.waiting())
+        if ready.condition.is_passed_over:
+            self._passed += 1
+            return
+        self._passed = 0
+        window = self._pipeline.window
+        window.append(replace(ready.prepared, index=window.count))
 
     def advance(self, load: Load) -> list[SegmentationResult]:
         """Segment what can be, as the load permits; return the results that are settled."""
         for _ in range(load.frames_at_once):
-            index = self._pipeline.window.pop_ready()
+            # What shows nothing for long is answered, and nothing waits for its end.
+            index = self._pipeline.window.pop_ready(ended=self._passed > PATIENCE)
             if index is None:
                 break
             self._segment(index, load)
+        self._answer_passed()
         return self._results(self._delay)
 
     def finish(self, load: Callable[[], Load]) -> list[SegmentationResult]:
         """Segment all that is left, as the load permits by then; return all their results."""
         while (index := self._pipeline.window.pop_ready(ended=True)) is not None:
             self._segment(index, load())
+        self._answer_passed()
         self._tracker.settle()
         return self._results(0)
 
@@ -228,11 +266,29 @@ class _Stream:
         self._pipeline.cancel()
 
     def _segment(self, index: int, load: Load) -> None:
-        frame = self._frames.pop(index)
-        self._pending.append(self._pipeline.segment_frame(index, frame, load))
+        self._answer_passed()
+        waiting = self._waiting.popleft()
+        pending = self._pipeline.segment_frame(index, waiting.frame, load)
+        self._unseen = 0
+        self._last = replace(pending, condition=waiting.condition)
+        self._pending.append(self._last)
+
+    def _answer_passed(self) -> None:
+        """Answer the frames that were passed over after the one segmented last."""
+        while self._waiting and self._waiting[0].condition.is_passed_over:
+            assert self._last is not None
+            self._unseen += 1
+            waiting = self._waiting.popleft()
+            self._pending.append(passed_over(waiting, self._last, self._tracker, self._unseen))
 
     def _results(self, kept: int) -> list[SegmentationResult]:
-        """Return the results of all pending frames but the newest so many."""
+        """Return the results of all pending frames but the newest so many.
+
+        Frames passed over tell nothing of tracks, and are no part of those, within reason.
+        """
+        if kept:
+            passed = sum(pending.condition.is_passed_over for pending in self._pending)
+            kept += min(passed, PATIENCE)
         results = []
         while len(self._pending) > kept:
             with self._observer.stage("labels"):

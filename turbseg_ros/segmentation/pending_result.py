@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from turbseg_ros.arrays import Labels
+from turbseg_ros.segmentation.condition import Condition
 from turbseg_ros.segmentation.cropped_mask import CroppedMask
 from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResult, label_of
 from turbseg_ros.segmentation.geometry import scaling
@@ -32,6 +33,7 @@ class PendingResult:
     observations: Sequence[Observation] = ()
     coasted: bool = False
     regions: FittedRegions | None = None
+    condition: Condition = Condition.SOUND
 
     def result(self) -> SegmentationResult:
         """Return the result: objects are the tracks that are confirmed by now."""
@@ -46,6 +48,7 @@ class PendingResult:
                 objects=objects,
                 coasted=self.coasted,
                 regions=self.regions,
+                condition=self.condition,
             )
         scale, clutter = width / self.resolution.processing[0], self.motion.clutter
         return SegmentationResult(
@@ -58,6 +61,7 @@ class PendingResult:
             coasted=self.coasted,
             clutter=None if clutter is None else clutter * np.float32(scale),
             regions=self.regions,
+            condition=self.condition,
         )
 
     def _draw_objects(self, labels: Labels) -> tuple[MovingObject, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import functools
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass
@@ -11,6 +12,8 @@ import numpy as np
 
 from turbseg_ros.arrays import ByteImage, Mask, Matrix
 from turbseg_ros.segmentation.background import MaskedImage, unmasked
+from turbseg_ros.segmentation.condition import Condition
+from turbseg_ros.segmentation.damage import Usual, judged
 from turbseg_ros.segmentation.frame import Frame
 from turbseg_ros.segmentation.observer import StageObserver
 from turbseg_ros.segmentation.registration import register_affine
@@ -25,7 +28,8 @@ class PreparedFrame:
     `grey` is at processing resolution, uint8, `scene` is the picture at detail resolution, its
     objects hidden once `objects_known`;
     `from_previous` takes the pixels (of `grey`) of the frame before in the window to this one's;
-    `continues` tells whether the two have anything in common.
+    `continues` tells whether the two have anything in common, `condition` whether all of it shows
+    what that one showed, and `usual` what is so from frame to frame, None for a scene's first.
     """
 
     index: int
@@ -34,6 +38,8 @@ class PreparedFrame:
     from_previous: Matrix
     continues: bool = True
     objects_known: bool = False
+    condition: Condition = Condition.SOUND
+    usual: Usual | None = None
 
     @functools.cached_property
     def to_previous(self) -> Matrix:
@@ -54,8 +60,9 @@ def prepare(
     observer: StageObserver,
     overlay: Mask | None = None,
 ) -> PreparedFrame:
-    """Scale an 8-bit picture, HxW or HxWx3, and register it to the frame before.
+    """Scale an 8-bit picture, HxW or HxWx3, register it to the frame before, and judge it by that.
 
+    :param previous: the last frame that joined the window.
     :param overlay: cells that are no scene and have no say in it, hxw.
     """
     with observer.stage("scaling"):
@@ -65,6 +72,9 @@ def prepare(
         scene = unmasked(detail)
     with observer.stage("registration"):
         motion = None if previous is None else register_affine(previous.grey, grey, overlay)
+        condition, usual = Condition.SOUND, None
+        if previous is not None:
+            condition, usual = judged(grey, previous.grey, motion, previous.usual)
     from_previous = np.eye(3) if motion is None else motion
     return PreparedFrame(
         index=index,
@@ -72,6 +82,8 @@ def prepare(
         scene=scene,
         from_previous=from_previous,
         continues=motion is not None,
+        condition=condition,
+        usual=usual,
     )
 
 
@@ -85,6 +97,7 @@ class FramePreparer:
         self._executor = executor
         self._observer = observer
         self._tone = ToneMap()
+        self._tone_before = copy.copy(self._tone)
         self._under_way: tuple[Frame, Future[PreparedFrame]] | None = None
 
     def start(
@@ -100,11 +113,16 @@ class FramePreparer:
         :param previous: the frame that it is registered to.
         :param overlay: cells that have no say in that, hxw.
         """
+        self._tone_before = copy.copy(self._tone)
         picture = self._tone(frame.image)
         preparation = self._executor.submit(
             prepare, picture, self._resolution, index, previous, self._observer, overlay
         )
         self._under_way = (frame, preparation)
+
+    def forget_tone(self) -> None:
+        """Let the last frame have no say in how bright those to come are."""
+        self._tone = self._tone_before
 
     def finish(self) -> tuple[Frame, PreparedFrame] | None:
         """Return the frame under way once it is ready; None where there is none.

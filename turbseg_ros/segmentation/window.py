@@ -15,7 +15,7 @@ from turbseg_ros.segmentation.clutter import enlarged
 from turbseg_ros.segmentation.cropped_mask import CroppedMask
 from turbseg_ros.segmentation.exposure import exposure_between
 from turbseg_ros.segmentation.preparation import PreparedFrame
-from turbseg_ros.segmentation.registration import align, register_affine, visible
+from turbseg_ros.segmentation.registration import align, visible
 
 # Flow within this many pixels of another frame's border follows the border, not the scene.
 _BORDER = 4.0
@@ -141,19 +141,6 @@ class FrameWindow:
         if source not in self._frames or not self.goes_on(source, target):
             return None
         return self.transform(source, target)
-
-    def follows_cut(self, prepared: PreparedFrame) -> bool:
-        """Whether a frame, not yet taken, goes on from a newest one that began a new scene.
-
-        After a covered lens or a torn frame the old scene is there again; after a cut it isn't.
-        """
-        newest = self.newest
-        if newest is None or newest.continues or not prepared.continues:
-            return False
-        before = [k for k in sorted(self._frames) if k < newest.index and self.shows_scene(k)]
-        return (
-            bool(before) and register_affine(self._frames[before[-1]].grey, prepared.grey) is None
-        )
 
     def _is_use(self, index: int) -> bool:
         """Whether a frame is at hand and shows the scene."""
