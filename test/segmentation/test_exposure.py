@@ -8,7 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from support.drawn_scene import ByteImage, texture
-from turbseg_ros.segmentation.exposure import AS_IT_IS, Exposure, exposure_between
+from turbseg_ros.segmentation.exposure import (
+    AS_IT_IS,
+    ColourExposure,
+    Exposure,
+    colour_exposure_between,
+    exposure_between,
+)
 from turbseg_ros.segmentation.geometry import translation
 
 SHAPE = (144, 256)
@@ -89,3 +95,38 @@ def test_only_the_channels_named_are_exposed(shape: tuple[int, ...]) -> None:
 def test_what_is_exposed_alike_is_not_copied() -> None:
     image = exposed()
     assert AS_IT_IS.applied_to(image, channels=1) is image
+
+
+def coloured(gains: tuple[float, ...], offset: float = 0.0, seed: int = 0) -> ByteImage:
+    """A scene of three colours and a channel that says nothing, HxWx4."""
+    tints = [texture(SHAPE, seed=10 + channel, low=20, high=160) for channel in range(3)]
+    grain = np.random.default_rng(seed).normal(0, 3, (*SHAPE, 3))
+    colours = np.stack(tints, axis=-1) * np.array(gains) + offset + grain
+    hidden = np.full((*SHAPE, 1), 255 * (seed % 2))
+    return np.concatenate([np.clip(colours, 0, 255), hidden], axis=-1).astype(np.uint8)
+
+
+@pytest.mark.parametrize("gains", [(0.7, 1.0, 1.3), (0.6, 1.0, 1.0), (1.2, 0.9, 0.8)], ids=str)
+def test_a_step_of_the_white_balance_is_found_channel_by_channel(
+    gains: tuple[float, ...],
+) -> None:
+    source, target = coloured((1.0, 1.0, 1.0)), coloured(gains, seed=1)
+    found = colour_exposure_between(source, target, IDENTITY)
+    for gain, exposure in zip(gains, found.channels, strict=True):
+        assert exposure.gain == pytest.approx(gain, abs=0.04)
+    exposed_alike = found.applied_to(source, channels=3)
+    assert abs(exposed_alike[..., :3].astype(float) - target[..., :3]).mean() < 5.0
+    np.testing.assert_array_equal(exposed_alike[..., 3], source[..., 3])
+
+
+def test_colours_that_only_differ_by_noise_are_left_as_they_are() -> None:
+    source, target = coloured((1.0, 1.0, 1.0)), coloured((1.0, 1.0, 1.0), seed=1)
+    found = colour_exposure_between(source, target, IDENTITY)
+    assert found == ColourExposure((AS_IT_IS,) * 3)
+    assert found.applied_to(source, channels=3) is source
+
+
+def test_exposures_of_colours_follow_one_another() -> None:
+    one = ColourExposure((Exposure(2.0, 1.0), AS_IT_IS))
+    other = ColourExposure((Exposure(0.5, 3.0), Exposure(1.5, 0.0)))
+    assert one.then(other) == ColourExposure((Exposure(1.0, 3.5), Exposure(1.5, 0.0)))

@@ -209,3 +209,29 @@ def test_a_change_of_exposure_hides_nothing_and_shows_nothing(
     usual = scores(segmented(list(SLOW.images(FRAMES))), SLOW)
     assert np.mean(found) > np.mean(usual) - 0.05
     assert not any(result.labels.any() for result in segmented(lit(STILL)))
+
+
+# What blue, green and red are multiplied with, from a frame's number.
+WHITE_BALANCES = {
+    "a step": lambda number: (0.75, 1.0, 1.25) if number >= FAULT else (1.0, 1.0, 1.0),
+    "a drift": lambda number: (1.0 - 0.008 * number, 1.0, 1.0 + 0.008 * number),
+    "one channel": lambda number: (0.6, 1.0, 1.0) if number >= FAULT else (1.0, 1.0, 1.0),
+}
+
+
+@pytest.mark.parametrize("balance", WHITE_BALANCES.values(), ids=WHITE_BALANCES)
+def test_a_change_of_the_white_balance_hides_nothing_and_shows_nothing(
+    balance: Callable[[int], tuple[float, ...]],
+) -> None:
+    tint = np.stack([texture(SHAPE, seed=20 + channel) for channel in range(3)], axis=-1) / 200.0
+
+    def balanced(scene: DrawnScene, used: Callable[[int], tuple[float, ...]]) -> list[np.ndarray]:
+        return [
+            np.clip(image[..., None] * tint * np.array(used(number)), 0, 255).astype(np.uint8)
+            for number, image in enumerate(scene.images(FRAMES))
+        ]
+
+    found = scores(segmented(balanced(SLOW, balance)), SLOW)
+    usual = scores(segmented(balanced(SLOW, lambda _: (1.0, 1.0, 1.0))), SLOW)
+    assert np.mean(found) > np.mean(usual) - 0.03
+    assert not any(result.labels.any() for result in segmented(balanced(STILL, balance)))

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from turbseg_ros.arrays import ByteImage, Map, Mask, Matrix
 from turbseg_ros.segmentation.cropped_mask import Box, CroppedMask
-from turbseg_ros.segmentation.exposure import AS_IT_IS, Exposure
+from turbseg_ros.segmentation.exposure import AS_IT_IS, ColourExposure, Exposure
 from turbseg_ros.segmentation.geometry import scaling, translation, upper_median
 
 Counts = npt.NDArray[np.int32]
@@ -68,7 +68,7 @@ class AlignedFrame:
 
     scene: MaskedImage
     to_image: Matrix
-    exposure: Exposure = AS_IT_IS
+    exposure: Exposure | ColourExposure = AS_IT_IS
 
 
 def unmasked(picture: ByteImage) -> MaskedImage:

@@ -1,4 +1,4 @@
-"""Exposure of frames against one another: automatic gain, flicker, a cloud before the sun."""
+"""Exposure of frames against one another: automatic gain, white balance, flicker, a cloud."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ from turbseg_ros.segmentation.geometry import scaling, upper_median
 
 Samples = npt.NDArray[np.float32]
 
-# Every so many pixels each way one is compared.
+# Every so many pixels each way one is compared, and about how many of a picture in colours.
 _STEP = 8
+_COLOUR_SAMPLES = 1600
 # Grey values out of this range may have been cut off.
 _DARKEST, _BRIGHTEST = 5, 250
 _MIN_SAMPLES = 50
@@ -40,17 +41,35 @@ class Exposure:
 
     def applied_to(self, image: ByteImage, channels: int) -> ByteImage:
         """Return an image, HxW or HxWxC, with the first so many channels as the other frame's."""
-        if self == AS_IT_IS:
-            return image
-        table = np.repeat(np.arange(256, dtype=np.float32)[:, None], _channels(image), axis=1)
-        table[:, :channels] = table[:, :channels] * self.gain + self.offset
-        rounded = np.clip(np.rint(table), 0, 255).astype(np.uint8)
-        exposed: ByteImage = cv2.LUT(image, rounded[:, None, :])
-        return exposed.reshape(image.shape)
+        return ColourExposure((self,) * channels).applied_to(image, channels)
 
 
 AS_IT_IS = Exposure()
 """What takes grey values to themselves."""
+
+
+@dataclass(frozen=True)
+class ColourExposure:
+    """An exposure for each channel, for white balance changes each by itself."""
+
+    channels: tuple[Exposure, ...]
+
+    def then(self, other: ColourExposure) -> ColourExposure:
+        """Return what takes the values on to those of a third frame."""
+        pairs = zip(self.channels, other.channels, strict=True)
+        return ColourExposure(tuple(one.then(next_one) for one, next_one in pairs))
+
+    def applied_to(self, image: ByteImage, channels: int) -> ByteImage:
+        """Return an image, HxW or HxWxC, with the first so many channels as the other frame's."""
+        exposures = self.channels[:channels]
+        if all(each == AS_IT_IS for each in exposures):
+            return image
+        table = np.repeat(np.arange(256, dtype=np.float32)[:, None], _channels(image), axis=1)
+        for channel, each in enumerate(exposures):
+            table[:, channel] = table[:, channel] * each.gain + each.offset
+        rounded = np.clip(np.rint(table), 0, 255).astype(np.uint8)
+        exposed: ByteImage = cv2.LUT(image, rounded[:, None, :])
+        return exposed.reshape(image.shape)
 
 
 def exposure_between(source: ByteImage, target: ByteImage, to_source: Matrix) -> Exposure:
@@ -63,16 +82,57 @@ def exposure_between(source: ByteImage, target: ByteImage, to_source: Matrix) ->
     :param target: HxW grey image of the same size.
     :param to_source: takes the target's pixels to the source's.
     """
-    rows, columns = target.shape[0] // _STEP, target.shape[1] // _STEP
+    (found,) = _exposures(*_sampled(source, target, to_source, _STEP))
+    return found
+
+
+def colour_exposure_between(
+    source: ByteImage, target: ByteImage, to_source: Matrix
+) -> ColourExposure:
+    """Estimate what takes the values of each channel of `source` to those of `target`.
+
+    :param source: HxWx4, three colours and a channel that isn't looked at.
+    :param target: the same of another frame.
+    :param to_source: takes the target's pixels to the source's.
+    """
+    step = max(int(np.sqrt(target.shape[0] * target.shape[1] / _COLOUR_SAMPLES)), 1)
+    x, y = (each[..., :3] for each in _sampled(source, target, to_source, step))
+    return ColourExposure(_exposures(np.ascontiguousarray(x), np.ascontiguousarray(y)))
+
+
+def _sampled(
+    source: ByteImage, target: ByteImage, to_source: Matrix, step: int
+) -> tuple[ByteImage, ByteImage]:
+    """Return the pixels of both that show the same points, of every so many of the target's."""
+    rows, columns = target.shape[0] // step, target.shape[1] // step
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    to_grid = (to_source @ scaling(_STEP, _STEP))[:2]
+    to_grid = (to_source @ scaling(step, step))[:2]
     x = cv2.warpAffine(source, to_grid, (columns, rows), flags=flags)
-    y = cv2.resize(target[: _STEP * rows, : _STEP * columns], (columns, rows))
-    usable = cv2.inRange(x, _DARKEST, _BRIGHTEST) & cv2.inRange(y, _DARKEST, _BRIGHTEST)
+    y = cv2.resize(target[: step * rows, : step * columns], (columns, rows))
+    return x, y
+
+
+def _exposures(x: ByteImage, y: ByteImage) -> tuple[Exposure, ...]:
+    """Return what takes each channel of one picture, hxw or hxwxC, to that of another."""
+    usable = cv2.bitwise_and(*(_in_range(each) for each in (x, y)))
+    channels = _channels(x)
     # Most frames are exposed alike, which a glance tells.
     if cv2.countNonZero(usable) < _MIN_SAMPLES or _seem_alike(x, y, usable):
-        return AS_IT_IS
-    x, y = (each[usable > 0].astype(np.float32) for each in (x, y))
+        return (AS_IT_IS,) * channels
+    here, there = (each[usable > 0].reshape(-1, channels).astype(np.float32) for each in (x, y))
+    return tuple(_exposure(here[:, channel], there[:, channel]) for channel in range(channels))
+
+
+def _in_range(picture: ByteImage) -> ByteImage:
+    """Return where no channel may have been cut off, 255 or 0."""
+    channels = _channels(picture)
+    if channels == 1:
+        return cv2.inRange(picture, _DARKEST, _BRIGHTEST)
+    return cv2.inRange(picture, (_DARKEST,) * channels, (_BRIGHTEST,) * channels)
+
+
+def _exposure(x: Samples, y: Samples) -> Exposure:
+    """Return what takes values to others, most of which show the same."""
     found = _median_line(x, y)
     for _ in range(_REFITS):
         if upper_median(np.abs(x * (found.gain - 1.0) + found.offset)) < _MIN_CHANGE:

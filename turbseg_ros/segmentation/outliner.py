@@ -15,7 +15,12 @@ from turbseg_ros.segmentation.areas import MovingArea
 from turbseg_ros.segmentation.background import AlignedFrame, MaskedImage, with_objects_masked
 from turbseg_ros.segmentation.clutter import CELL, enlarged
 from turbseg_ros.segmentation.cropped_mask import EMPTY_MASK, CroppedMask, union_mask
-from turbseg_ros.segmentation.exposure import AS_IT_IS, Exposure, exposure_between
+from turbseg_ros.segmentation.exposure import (
+    AS_IT_IS,
+    ColourExposure,
+    colour_exposure_between,
+    exposure_between,
+)
 from turbseg_ros.segmentation.foreground import ObjectCrop, foreground_masks, object_crops
 from turbseg_ros.segmentation.geometry import translation
 from turbseg_ros.segmentation.motion import MotionEstimate
@@ -95,7 +100,7 @@ class _Outlook:
 
     index: int = 0
     images: dict[int, MaskedImage] = field(default_factory=dict)
-    exposures: dict[int, Exposure] = field(default_factory=dict)
+    exposures: dict[int, ColourExposure] = field(default_factory=dict)
 
 
 class Outliner:
@@ -182,11 +187,16 @@ class Outliner:
             frames.append(AlignedFrame(image, to_image, outlook.exposures[other].then(since)))
         return frames
 
-    def _exposure(self, source: int, target: int, to_source: Matrix) -> Exposure:
-        """Return what takes the grey values of one frame to those of another."""
+    def _exposure(self, source: int, target: int, to_source: Matrix) -> ColourExposure:
+        """Return what takes the values of one frame to those of another, channel by channel."""
+        here, there = self._window[target], self._window[source]
+        channels = here.detail.shape[2]
         if source == target:
-            return AS_IT_IS
-        return exposure_between(self._window[source].grey, self._window[target].grey, to_source)
+            return ColourExposure((AS_IT_IS,) * channels)
+        if channels == 1:
+            return ColourExposure((exposure_between(there.grey, here.grey, to_source),))
+        to_source = self._resolution.to_detail(to_source)
+        return colour_exposure_between(there.scene.image, here.scene.image, to_source)
 
     def _predicted(
         self, areas: Sequence[MovingArea], frames: int, to_image: Matrix
