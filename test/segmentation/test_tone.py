@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -48,6 +49,64 @@ def test_a_flickering_hot_pixel_changes_no_other() -> None:
     others = np.ones(DEEP.shape, bool)
     others[40, 80] = False
     assert max(np.abs(p - pictures[0])[others].max() for p in pictures) <= 1
+
+
+def with_hot_spot(frame: np.ndarray, side: int) -> np.ndarray:
+    spot = np.zeros(frame.shape)
+    spot[10 : 10 + side, 20 : 20 + side] = 1.0
+    spot = cv2.GaussianBlur(spot, (0, 0), 1.0)
+    return frame * (1.0 - spot) + 40000.0 * spot
+
+
+def with_hot_pixels(frame: np.ndarray, value: int) -> np.ndarray:
+    hot = frame.astype(float)
+    hot[np.random.default_rng(0).random(frame.shape) < 0.01] = value
+    return hot
+
+
+def under_a_sky(frame: np.ndarray, rows: int) -> np.ndarray:
+    cold = frame.astype(float)
+    cold[:rows] = 200 + np.random.default_rng(0).normal(0, 3, (rows, frame.shape[1]))
+    return cold
+
+
+# What takes the range though it is not the scene's detail.
+EXTREMES = {
+    "hot spot of 1 %": with_hot_spot(DEEP, 12),
+    "hot spot of 4 %": with_hot_spot(DEEP, 25),
+    "hot pixels": with_hot_pixels(DEEP, 65535),
+    "dead pixels": with_hot_pixels(DEEP, 0),
+    "cold sky": under_a_sky(DEEP, 16),
+    "much cold sky": under_a_sky(DEEP, 40),
+    "hot spot under a cold sky": under_a_sky(with_hot_spot(DEEP, 12), 16),
+}
+
+
+@pytest.mark.parametrize("dtype", [np.uint16, np.float32])
+@pytest.mark.parametrize("frame", EXTREMES.values(), ids=EXTREMES)
+def test_the_scene_keeps_its_grey_values_whatever_lies_far_beyond(
+    frame: np.ndarray, dtype: type
+) -> None:
+    tone = ToneMap()
+    pictures = [tone(frame.astype(dtype)) for _ in range(5)]
+    scene = np.s_[44:, :]
+    assert pictures[-1][scene].std() > 0.6 * ToneMap()(DEEP)[scene].std()
+    assert np.abs(pictures[-1].astype(int) - pictures[0]).max() <= 1
+
+
+@pytest.mark.parametrize("value", [0, 65535])
+def test_pixels_that_are_defect_look_like_those_around(value: int) -> None:
+    clean = texture((96, 160), seed=7, low=0, high=255, grain=3.0).astype(np.uint16) * 16 + 20000
+    picture = ToneMap()(with_hot_pixels(clean, value).astype(np.uint16)).astype(int)
+    assert np.percentile(np.abs(picture - ToneMap()(clean)), 99.9) <= 24
+
+
+def test_a_hot_spot_that_comes_and_goes_changes_nothing_else() -> None:
+    tone = ToneMap()
+    tone(DEEP)
+    hot = with_hot_spot(DEEP, 16).astype(np.uint16)
+    pictures = [tone(hot if number % 4 < 2 else DEEP)[40:].astype(int) for number in range(20)]
+    assert max(np.abs(picture - pictures[0]).max() for picture in pictures) <= 6
 
 
 def test_noise_does_not_make_the_picture_flicker() -> None:
