@@ -26,7 +26,7 @@ from turbseg_ros.segmentation.frame import Frame, SegmentationResult
 FRAMES = 10
 STAMPS = [number * 33_000_000 for number in range(FRAMES)]
 TIMES = ("fps", "ms_p50", "ms_p95")
-SCORE_KEYS = 16
+SCORE_KEYS = 28
 
 
 class DarkAreas:
@@ -347,3 +347,14 @@ def test_a_mistake_is_refused_before_anything_runs(
     assert status == 2
     assert complaint in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+def test_every_table_is_written_as_csv_and_latex(bag: Path, tmp_path: Path) -> None:
+    options = ["--baselines", "mog2", "--tilt-curve", "0,1"]
+    evaluated(
+        tmp_path / "out.json", bag, *options, "--csv", tmp_path / "c", "--latex", tmp_path / "l"
+    )
+    names = {"bags", "baselines", "tilt_curve"}
+    assert {path.stem for path in (tmp_path / "c").glob("*.csv")} == names
+    assert {path.stem for path in (tmp_path / "l").glob("*.tex")} == names
+    assert "turbseg 1 px," in (tmp_path / "c" / "tilt_curve.csv").read_text()

@@ -341,3 +341,17 @@ def test_an_interrupted_import_keeps_the_frames_there_are(tmp_path, capsys, monk
     assert partial in (tmp_path / "bag" / "metadata.yaml").read_text()
     error = capsys.readouterr().err
     assert error == f"turbseg_import: {tmp_path / 'bag'} is partial: {partial}\n"
+
+
+def test_levels_of_cdnet_are_foreground_background_and_what_is_not_judged(tmp_path):
+    masks = [np.full(SHAPE, level, np.uint8) for level in (85, 0, 50, 170)]
+    for mask in masks[1:]:
+        mask[:3] = 255
+    save(tmp_path / "clip" / "input", grey_frames(4))
+    save(tmp_path / "clip" / "groundtruth", masks)
+    assert main([str(tmp_path / "clip"), str(tmp_path / "bag")]) == 0
+    _, labels, _ = imported(tmp_path / "bag", TRUTH)
+    assert [set(np.unique(each)) for each in labels] == [{0}, {0, 255}, {0, 255}, {0, 255}]
+    _, ignored, _ = imported(tmp_path / "bag", "/ground_truth/ignored")
+    assert [np.count_nonzero(each[3:]) for each in ignored] == [510, 0, 0, 510]
+    assert [np.count_nonzero(each[:3]) for each in ignored] == [90, 0, 0, 0]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterable
 
 import numpy as np
 import pytest
@@ -14,9 +15,10 @@ from scipy import ndimage
 from turbseg_ros.evaluation.metrics import (
     IdSwitchCounter,
     ObjectJaccard,
+    PixelCounter,
     boundary_f,
-    count_false_objects,
     dice,
+    false_ids,
     foreground_fraction,
     jaccard,
     object_overlaps,
@@ -113,6 +115,49 @@ def test_boundary_f_is_that_of_davis(
     assert boundary_f(mask, other, tolerance) == pytest.approx(expected)
 
 
+def cdnet_f_measure(frames: Iterable[tuple[np.ndarray, np.ndarray]]) -> float:
+    """CDnet's F-measure, from its four counts, pixel by pixel."""
+    tp = fp = fn = 0
+    for predicted, true in frames:
+        for found, is_there in zip(predicted.ravel().tolist(), true.ravel().tolist(), strict=True):
+            tp += bool(found and is_there)
+            fp += bool(found and not is_there)
+            fn += bool(not found and is_there)
+    precision, recall = tp / max(tp + fp, 1), tp / max(tp + fn, 1)
+    return 2 * precision * recall / max(precision + recall, 1e-12)
+
+
+@given(hnp.arrays(bool, (3, 2, 5, 6)))
+def test_pixel_f_is_that_of_cdnet(frames: np.ndarray) -> None:
+    counter = PixelCounter()
+    for predicted, true in frames:
+        counter.add(predicted, true)
+    if not frames[:, 1].any():
+        assert counter.f_measure is None
+    else:
+        assert counter.f_measure == pytest.approx(cdnet_f_measure(frames))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_each_object_has_the_mean_iou_and_dice_of_its_frames(seed: int) -> None:
+    """As sums over masks, for that pairing of ids which gives the best mean IoU."""
+    frames = np.random.default_rng(seed).integers(0, 3, (4, 2, 20, 30))
+    counter = ObjectJaccard()
+    for predicted, true in frames:
+        counter.add(object_overlaps(predicted, true))
+    pairings = []
+    for partners in ((1, 2), (2, 1)):
+        iou, dices = [], []
+        for true_id, partner in zip((1, 2), partners, strict=True):
+            masks = [(p == partner, t == true_id) for p, t in frames]
+            iou.append(np.mean([(p & t).sum() / (p | t).sum() for p, t in masks]))
+            dices.append(np.mean([2 * (p & t).sum() / (p.sum() + t.sum()) for p, t in masks]))
+        pairings.append((np.mean(iou), iou, dices))
+    _, iou, dices = max(pairings)
+    assert counter.by_object == pytest.approx(dict(zip((1, 2), iou, strict=True)))
+    assert counter.dice_by_object == pytest.approx(dict(zip((1, 2), dices, strict=True)))
+
+
 def test_foreground_fraction_is_a_share_of_the_image() -> None:
     assert foreground_fraction(square(0, 0, 20)) == pytest.approx(0.04)
 
@@ -161,7 +206,7 @@ def test_union_truth_leaves_switches_unknown() -> None:
 
 
 def false_objects(prediction: np.ndarray, truth: np.ndarray) -> int:
-    return count_false_objects(object_overlaps(prediction, truth))
+    return len(false_ids(object_overlaps(prediction, truth)))
 
 
 def test_an_object_beside_a_true_one_is_false() -> None:
@@ -192,7 +237,7 @@ def test_in_a_union_each_connected_part_is_a_true_object() -> None:
     assert sorted(np.unique(true_components(truth))) == [0, 1, 2]
 
 
-def by_object(*frames: tuple[np.ndarray, np.ndarray]) -> dict[int, float] | None:
+def by_object(*frames: tuple[np.ndarray, np.ndarray]) -> dict[int | str, float] | None:
     scored = ObjectJaccard()
     for prediction, truth in frames:
         scored.add(object_overlaps(prediction, truth))

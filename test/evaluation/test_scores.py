@@ -32,6 +32,18 @@ KEYS = [
     "false_alarm_area",
     "false_objects",
     "id_switches",
+    "pixel_f",
+    "hits",
+    "hits_50",
+    "box_iou",
+    "false_object_frames",
+    "false_ids",
+    "ids_per_object",
+    "missed",
+    "mota",
+    "idf1",
+    "hota",
+    "objects",
     "fps",
     "ms_p50",
     "ms_p95",
@@ -100,6 +112,53 @@ def test_objects_that_steal_each_others_pixels_lower_the_score_by_object_only() 
     assert scores.without_ids().j_object is None
 
 
+def test_an_object_found_in_under_a_tenth_of_its_frames_is_missed() -> None:
+    truth = OBJECT.copy()
+    truth[30:35, 30:35] = 2
+    seldom = scored((truth, truth), *[(OBJECT, truth)] * 10)
+    assert seldom.missed == 0.5
+    assert {each.id: each.found for each in seldom.objects} == {1: 1.0, 2: pytest.approx(1 / 11)}
+    assert scored((truth, truth), *[(OBJECT, truth)] * 9).missed == 0.0
+
+
+def test_means_over_items_weigh_each_object_alike() -> None:
+    two = OBJECT.copy()
+    two[30:35, 30:35] = 2
+    half = OBJECT.copy()
+    half[10:15] = 0
+    mean = mean_scores([scored((two, two)), scored((half, OBJECT))])
+    assert mean["miou"] == pytest.approx((1 + 1 + 1 / 2) / 3)
+    assert mean["mdice"] == pytest.approx((1 + 1 + 2 / 3) / 3)
+    assert mean["j_object"] == pytest.approx((1 + 1 / 2) / 2)
+
+
+def test_an_id_that_was_true_once_is_not_counted_as_false() -> None:
+    stray = OBJECT.copy()
+    stray[30:35, 30:35] = 2
+    scores = scored((stray, OBJECT), (OBJECT, EMPTY))
+    assert (scores.false_object_frames, scores.false_ids) == (2, 1)
+
+
+def test_ids_per_object_leaves_out_what_was_never_found() -> None:
+    truth = OBJECT.copy()
+    truth[30:35, 30:35] = 2
+    scores = scored((OBJECT, truth), (OBJECT * 3, truth), (OBJECT, truth))
+    assert (scores.ids_per_object, scores.id_switches) == (2.0, 2)
+
+
+def test_ignored_pixels_are_neither_right_nor_wrong() -> None:
+    ignored = np.zeros_like(OBJECT)
+    ignored[:15] = 1
+    wide = OBJECT.copy()
+    wide[0:10] = 2
+    scorer = Scorer()
+    scorer.add(wide, OBJECT, ignored)
+    scores = scorer.scores("one", 1, Measurements())
+    assert (scores.j, scores.pixel_f, scores.false_objects) == (1.0, 1.0, 0.0)
+    scorer.add(EMPTY, OBJECT, np.ones_like(OBJECT))
+    assert scorer.scores("one", 2, Measurements()).scored_frames == 1
+
+
 def test_what_cannot_be_told_is_none() -> None:
     scores = scored((EMPTY, EMPTY))
     assert (scores.j, scores.dice, scores.g, scores.boundary_f) == (None,) * 4
@@ -133,7 +192,8 @@ def test_json_has_the_documented_keys(tmp_path: Path) -> None:
     content = json.loads(path.read_text())
     assert list(content) == ["bags", "mean", "parameters"]
     assert [list(bag) for bag in content["bags"]] == [KEYS, KEYS]
-    assert list(content["mean"]) == KEYS[1:]
+    figures = [key for key in KEYS[1:] if key != "objects"]
+    assert list(content["mean"]) == [*figures, "miou", "mdice"]
     assert content["parameters"] == {"flow.interval": 4}
     assert content["bags"][1]["j"] is None
     assert [entry.name for entry in tmp_path.iterdir()] == ["scores.json"]

@@ -8,11 +8,13 @@ import json
 import os
 import re
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from turbseg_ros.bag.errors import BagError
+from turbseg_ros.messages import detections
 
 # How a definition's dependencies are set apart in the ros2msg schema encoding,
 # https://mcap.dev/spec/registry#ros2msg
@@ -42,20 +44,34 @@ class MessageDefinition:
 def message_definition(type_name: str) -> MessageDefinition:
     """Return the definition of `type_name`, such as `sensor_msgs/msg/Image`.
 
+    That of boxes is known whether its package is installed or not.
+
     :raises BagError: when no installed package has that type.
     """
+    if type_name == detections.TYPE_NAME and not _is_installed(type_name):
+        return _definition_of_boxes()
     description = json.loads(_interface_file(type_name, "json"))
     hashes = {entry["type_name"]: entry["hash_string"] for entry in description["type_hashes"]}
     dependencies = [
         entry["type_name"]
         for entry in description["type_description_msg"]["referenced_type_descriptions"]
     ]
-    parts = [_interface_file(type_name, "msg")]
-    parts += [
-        f"{_DEPENDENCY_HEADING}{_short_name(dependency)}\n{_interface_file(dependency, 'msg')}"
-        for dependency in dependencies
-    ]
-    return MessageDefinition(text="\n".join(parts), type_hash=hashes[type_name])
+    texts = {name: _interface_file(name, "msg") for name in (type_name, *dependencies)}
+    return MessageDefinition(_joined(texts), type_hash=hashes[type_name])
+
+
+def _definition_of_boxes() -> MessageDefinition:
+    installed = {name: _interface_file(name, "msg") for name in detections.DEPENDENCIES}
+    return MessageDefinition(
+        _joined({**detections.DEFINITIONS, **installed}), type_hash=detections.TYPE_HASH
+    )
+
+
+def _joined(texts: Mapping[str, str]) -> str:
+    """Return the definitions of a type, the first, and of those that it is made of, as one."""
+    first, *others = texts
+    parts = [f"{_DEPENDENCY_HEADING}{_short_name(name)}\n{texts[name]}" for name in others]
+    return "\n".join([texts[first], *parts])
 
 
 @functools.cache
@@ -88,6 +104,10 @@ def type_name_of(message: object) -> str:
     """Return the name of a message's type, such as `sensor_msgs/msg/Image`."""
     kind = type(message)
     return f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
+
+
+def _is_installed(type_name: str) -> bool:
+    return any((prefix / "share" / f"{type_name}.json").is_file() for prefix in _prefixes())
 
 
 def _interface_file(type_name: str, suffix: str) -> str:

@@ -9,6 +9,9 @@ IMAGE_TOPIC = "/camera/image_raw"
 # What lies below it is truth to score against, not input.
 TRUTH_NAMESPACE = "ground_truth"
 TRUTH_TOPIC = f"/{TRUTH_NAMESPACE}/labels"
+TRUTH_BOXES_TOPIC = f"/{TRUTH_NAMESPACE}/detections"
+# Images, non-zero where neither what is found nor what is missed counts, from their stamp on.
+IGNORED_TOPIC = f"/{TRUTH_NAMESPACE}/ignored"
 
 # Below it lies what the node publishes, or what it would have.
 NODE_NAME = "turbseg"

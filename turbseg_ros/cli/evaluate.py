@@ -28,6 +28,7 @@ from turbseg_ros.evaluation.baselines import (
     UnknownBaselineError,
     baselines,
 )
+from turbseg_ros.evaluation.comparison import ComparisonError, compare, comparison_table
 from turbseg_ros.evaluation.evaluate import EvaluationError, evaluate_labels
 from turbseg_ros.evaluation.execution import (
     ClusterError,
@@ -48,10 +49,18 @@ from turbseg_ros.evaluation.experiments import (
     text_table,
     tilt_curve,
 )
-from turbseg_ros.evaluation.labels import LabelsByStamp, read_labels
+from turbseg_ros.evaluation.labels import read_labels
 from turbseg_ros.evaluation.report import PAGE, Report, ReportError, ReportWriter
 from turbseg_ros.evaluation.run import Run, RunResult, Source
-from turbseg_ros.evaluation.scores import Table, write_json
+from turbseg_ros.evaluation.scores import (
+    COLUMNS,
+    OBJECT_COLUMNS,
+    BagScores,
+    Table,
+    write_json,
+)
+from turbseg_ros.evaluation.table_files import tables_of, write_tables
+from turbseg_ros.evaluation.truth import read_ignored, read_truth
 from turbseg_ros.parameters import Parameters
 from turbseg_ros.worker_pool import WorkerPool
 
@@ -65,6 +74,8 @@ _FEW_RUNS = 2
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the executable; return its exit status, 1 when a bag couldn't be scored."""
     options = build_parser().parse_args(arguments)
+    if options.compare is not None:
+        return _compare(options)
     keep_large_buffers()
     _check(options)
     parameters = parameters_from(options)
@@ -76,7 +87,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
         raise UsageError(str(error)) from error
 
 
+def _compare(options: argparse.Namespace) -> int:
+    """Print how two evaluations differ."""
+    if options.bags:
+        raise UsageError("--compare takes two JSON files and no BAG")
+    try:
+        print(*comparison_table(compare(*options.compare)), sep="\n")
+    except ComparisonError as error:
+        raise UsageError(str(error)) from error
+    return 0
+
+
 def _check(options: argparse.Namespace) -> None:
+    if not options.bags:
+        raise UsageError("name a BAG, or two JSON files with --compare")
     if options.predictions is not None:
         if len(options.bags) > 1:
             raise UsageError("--predictions are those of one BAG; give one")
@@ -92,18 +116,21 @@ def _check(options: argparse.Namespace) -> None:
         check_file(options.json)
     if options.report is not None:
         check_file(options.report / PAGE)
-    if options.curves is not None:
-        check_folder(options.curves)
+    for folder in (options.curves, options.csv, options.latex):
+        if folder is not None:
+            check_folder(folder)
 
 
 def _score_recorded(options: argparse.Namespace) -> int:
     """Score labels that were recorded, against the truth in the bag that they were found in."""
     (bag,) = options.bags
-    truth = LabelsByStamp(read_labels(BagReader(bag), options.truth_topic))
+    reader = BagReader(bag)
+    truth = read_truth(reader, options.truth_topic)
     predictions = read_labels(BagReader(options.predictions), options.labels_topic)
-    scores = evaluate_labels(str(bag), predictions, truth)
-    table = Table.of([scores.bag])
-    print(f"{table.head}\n{table.row(scores)}")
+    scores = evaluate_labels(str(bag), predictions, truth, read_ignored(reader))
+    for columns in (COLUMNS, OBJECT_COLUMNS):
+        table = Table.of([scores.bag], columns=columns)
+        print(table.head, table.row(scores), sep="\n")
     if options.json is not None:
         # Who made them, and with which parameters, is not known.
         write_json(options.json, [scores], {})
@@ -173,6 +200,9 @@ def _write(options: argparse.Namespace, report: Report, writer: ReportWriter | N
         if report.partial:
             tables["partial"] = report.partial
         write_json(options.json, scores, report.parameters.as_mapping(), tables)
+    scored = [report.results[run].scores for run in report.runs]
+    for path in write_tables(tables_of(scored, report.experiments), options.csv, options.latex):
+        print(f"\n{path}")
     if writer is not None and options.curves is not None:
         for path in writer.write_curves(options.curves, report.experiments):
             print(f"\n{path}")
@@ -298,6 +328,15 @@ def _print_scores(evaluation: _Evaluation, runner: Runner, runs: Sequence[Run]) 
         # Of those that there are, when the rest is given up.
         if len(scored) > 1:
             print(table.mean(scored), flush=True)
+        if scored:
+            print("", *_object_table(scored), sep="\n", flush=True)
+
+
+def _object_table(scored: Sequence[BagScores]) -> list[str]:
+    """Return the lines of the table about boxes, false objects and ids."""
+    table = Table.of([scores.bag for scores in scored], columns=OBJECT_COLUMNS)
+    mean = [table.mean(scored)] if len(scored) > 1 else []
+    return [table.head, *map(table.row, scored), *mean]
 
 
 @contextlib.contextmanager

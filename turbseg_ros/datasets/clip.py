@@ -21,10 +21,10 @@ from turbseg_ros.datasets.images import (
 from turbseg_ros.datasets.video import VideoFile, open_video
 
 # How data sets name the folders of a sequence.
-_FRAME_FOLDERS = ("frames", "images", "imgs", "img", "input", "rgb")
+FRAME_FOLDERS = ("frames", "images", "imgs", "img", "input", "rgb")
 _MASK_FOLDERS = ("masks", "mask", "annotations", "groundtruth", "ground_truth", "gt", "labels")
 # How they name the folder of all sequences' frames, where it has one for all masks beside it.
-_FRAME_TREES = (*_FRAME_FOLDERS, "jpegimages")
+_FRAME_TREES = (*FRAME_FOLDERS, "jpegimages")
 # Folders between that and a sequence's own at most, as `480p` of DAVIS.
 _TREE_DEPTH = 2
 
@@ -123,11 +123,11 @@ def _sequence_folders(source: Path) -> tuple[Path, Path | None]:
     """Return the folders of frames and of masks that belong to `source`."""
     if image_paths(source):
         return source, _only(_masks_in_parallel(source), source)
-    frames = _folders_named(source, _FRAME_FOLDERS)
+    frames = _folders_named(source, FRAME_FOLDERS)
     if len(frames) != 1:
         raise ClipError(
             f"{source} holds no images and {len(frames) or 'no'} folders of frames "
-            f"({', '.join(_FRAME_FOLDERS)}); name the one with the frames"
+            f"({', '.join(FRAME_FOLDERS)}); name the one with the frames"
         )
     return frames[0], _only(_folders_named(source, _MASK_FOLDERS), source)
 

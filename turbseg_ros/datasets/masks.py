@@ -18,6 +18,9 @@ _MAX_VALUES = 256
 _WHITE = (255, 65535)
 # The label of white, in masks that only tell foreground from background.
 _FOREGROUND = 255
+# What CDnet writes beside 255: shadow, which is background; outside of the region that is judged;
+# and unknown, as blurred borders are.
+_CDNET_SHADOW, _CDNET_IGNORED = 50, (85, 170)
 # Set in the value of a colour, to tell it from a grey level.
 _COLOUR = 1 << 24
 
@@ -27,11 +30,16 @@ class MaskMeaning:
     """The object that each value of a clip's masks stands for.
 
     `values` are sorted: grey levels, or colours as 0x1RRGGBB, black being 0; `objects` has a label
-    for each.
+    for each. `ignored` are those that say nothing: such pixels are neither right nor wrong.
     """
 
     values: npt.NDArray[np.int32]
     objects: Labels
+    ignored: tuple[int, ...] = ()
+
+    def ignored_in(self, mask: npt.NDArray[Any]) -> npt.NDArray[np.bool_] | None:
+        """Return where a mask says nothing, HxW; None for clips that tell of every pixel."""
+        return np.isin(_values(mask), self.ignored) if self.ignored else None
 
     def labels(self, mask: npt.NDArray[Any]) -> Labels:
         """Return a mask, HxW or HxWx3 (BGR), as labels, HxW: 0 background, k object.
@@ -49,8 +57,9 @@ def mask_meaning(masks: Iterable[npt.NDArray[Any]]) -> MaskMeaning:
     """Find what a clip's masks mean.
 
     A single value beside 0 is one object, label 1, whatever it is; but white alone is 255, the
-    foreground, in which objects are not told apart. Several grey levels are labels; several
-    colours are those of DAVIS-2017, whose palette gives the label.
+    foreground, in which objects are not told apart. Several grey levels are labels, unless they
+    are those of CDnet: 255 foreground, 50 shadow, 85 and 170 neither. Several colours are those of
+    DAVIS-2017, whose palette gives the label.
 
     :raises ClipError: when the values can't be told to be either.
     """
@@ -58,7 +67,16 @@ def mask_meaning(masks: Iterable[npt.NDArray[Any]]) -> MaskMeaning:
     for mask in masks:
         seen.update(np.unique(_values(mask)).tolist())
     values = np.array(sorted(seen), np.int32)
+    if _is_of_cdnet(seen):
+        foreground = np.where(values == _FOREGROUND, _FOREGROUND, 0).astype(np.uint8)
+        return MaskMeaning(values, foreground, _CDNET_IGNORED)
     return MaskMeaning(values, _narrowed(_objects(values)))
+
+
+def _is_of_cdnet(seen: set[int]) -> bool:
+    """Whether values are CDnet's; one alone beside 0 may be an object."""
+    levels = {0, _CDNET_SHADOW, *_CDNET_IGNORED, _FOREGROUND}
+    return seen <= levels and len(seen) > 2 and not seen.isdisjoint(_CDNET_IGNORED)
 
 
 def _objects(values: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:

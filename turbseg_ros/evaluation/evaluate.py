@@ -10,6 +10,7 @@ from typing import Protocol
 from turbseg_ros.evaluation.labels import LabelsByStamp, StampedLabels
 from turbseg_ros.evaluation.metrics import Labels
 from turbseg_ros.evaluation.scores import BagScores, Measurements, Scorer
+from turbseg_ros.evaluation.truth import Boxes, IgnoredRegions, Truth
 from turbseg_ros.segmentation.frame import Frame, SegmentationResult, Segmenter, segment
 
 _LOGGER = logging.getLogger(__name__)
@@ -30,30 +31,38 @@ def evaluate_segmenter(
     bag: str,
     frames: Iterable[Frame],
     segmenter: Segmenter,
-    truth: LabelsByStamp,
+    truth: Truth,
     observers: Sequence[ResultObserver] = (),
+    ignored: IgnoredRegions | None = None,
 ) -> BagScores:
     """Segment the frames of a bag and score the results.
 
+    :param ignored: where truth says nothing.
     :raises EvaluationError: when no frame has a truth, or one of another size.
     """
     measured = _MeasuredSegmenter(segmenter)
-    scorer = _TruthScorer(bag, truth)
+    scorer = _TruthScorer(bag, truth, ignored)
     for result in segment(frames, measured):
         frame = result.frame
         prediction = StampedLabels(frame.stamp, result.labels, frame.received)
-        true_labels = scorer.add(prediction, frame.period, same_recording=True)
+        found = scorer.add(prediction, frame.period, same_recording=True)
         for observer in observers:
-            observer.add(result, true_labels)
+            observer.add(result, None if isinstance(found, tuple) else found)
     return scorer.scores(measured.measurements)
 
 
-def evaluate_labels(bag: str, labels: Iterable[StampedLabels], truth: LabelsByStamp) -> BagScores:
+def evaluate_labels(
+    bag: str,
+    labels: Iterable[StampedLabels],
+    truth: Truth,
+    ignored: IgnoredRegions | None = None,
+) -> BagScores:
     """Score labels that were recorded, from a live node for instance.
 
+    :param ignored: where truth says nothing.
     :raises EvaluationError: when no labels have a truth, or one of another size.
     """
-    scorer = _TruthScorer(bag, truth)
+    scorer = _TruthScorer(bag, truth, ignored)
     for prediction in labels:
         scorer.add(prediction)
     return scorer.scores(Measurements())
@@ -66,9 +75,10 @@ class _TruthScorer:
     which they were recorded does.
     """
 
-    def __init__(self, bag: str, truth: LabelsByStamp) -> None:
+    def __init__(self, bag: str, truth: Truth, ignored: IgnoredRegions | None = None) -> None:
         self._bag = bag
         self._truth = truth
+        self._ignored = ignored or IgnoredRegions()
         self._scorer = Scorer()
         self._frames = 0
         # Label images until some truth belongs to one; where stamps tell, none are needed.
@@ -79,25 +89,29 @@ class _TruthScorer:
         prediction: StampedLabels,
         period: float | None = None,
         same_recording: bool = False,
-    ) -> Labels | None:
+    ) -> Labels | Boxes | None:
         """Score the next label image; return the truth that it was held against.
 
         :param period: seconds from one frame to the next, where it is known.
         :param same_recording: whether it has the times of its frame, which lies beside the truth.
         """
         self._frames += 1
-        true_labels = self._truth.at(prediction.stamp, prediction.recorded, period, same_recording)
-        if true_labels is not None:
+        stamp = prediction.stamp
+        true = self._truth.at(stamp, prediction.recorded, period, same_recording)
+        if true is not None:
             self._unmatched = None
-            self._score(prediction.labels, true_labels)
+            self._score(prediction.labels, true, self._ignored.at(stamp))
         elif self._unmatched is not None:
             # By their number: their times are of no use.
             self._unmatched.add(StampedLabels(self._frames, prediction.labels))
-        return true_labels
+        return true
 
-    def _score(self, labels: Labels, true_labels: Labels) -> None:
+    def _score(self, labels: Labels, true: Labels | Boxes, ignored: Labels | None) -> None:
         try:
-            self._scorer.add(labels, true_labels)
+            if isinstance(true, tuple):
+                self._scorer.add_boxes(labels, true, ignored)
+            else:
+                self._scorer.add(labels, true, ignored)
         except ValueError as error:
             raise EvaluationError(f"{self._bag}: {error}") from error
 
@@ -110,8 +124,9 @@ class _TruthScorer:
             "held together in their order",
             self._bag,
         )
-        for labels, true_labels in zip(unmatched.in_order(), self._truth.in_order(), strict=True):
-            self._score(labels, true_labels)
+        truth: Iterable[Labels | Boxes] = self._truth.in_order()
+        for number, (labels, true) in enumerate(zip(unmatched.in_order(), truth, strict=True)):
+            self._score(labels, true, self._ignored.at(number))
 
     def scores(self, measurements: Measurements) -> BagScores:
         self._score_in_order()

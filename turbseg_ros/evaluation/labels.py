@@ -7,6 +7,7 @@ import itertools
 import statistics
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from typing import Generic, TypeVar
 
 import cv2
 import numpy as np
@@ -23,6 +24,7 @@ from turbseg_ros.messages.images import (
 from turbseg_ros.messages.stream_monitor import stamps_tell
 from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResult
 
+T = TypeVar("T")
 _Compressed = npt.NDArray[np.uint8]
 
 # Stamps that lie so far from others are of another clock. Nanoseconds.
@@ -65,19 +67,14 @@ def read_labels(reader: BagReader, topic: str) -> Iterator[StampedLabels]:
         yield StampedLabels(stamp_to_ns(message.header.stamp), labels, record.stamp_ns)
 
 
-class LabelsByStamp:
-    """Label images by the stamp of their frame, or by their own time where stamps say nothing.
+class ByStamp(Generic[T]):
+    """What belongs to frames, by their stamps, or by its own time where stamps say nothing."""
 
-    They are held compressed, for those of a long high-resolution bag don't fit into memory.
-    """
-
-    def __init__(self, items: Iterable[StampedLabels] = ()) -> None:
-        self._by_stamp: dict[int, _Compressed] = {}
-        self._by_time: dict[int, _Compressed] = {}
+    def __init__(self) -> None:
+        self._by_stamp: dict[int, T] = {}
+        self._by_time: dict[int, T] = {}
         self._stamps: list[int] = []
         self._times: list[int] = []
-        for item in items:
-            self.add(item)
 
     def __len__(self) -> int:
         return len(self._by_stamp) if self.stamps_tell else len(self._by_time)
@@ -87,51 +84,53 @@ class LabelsByStamp:
         """Whether stamps tell them apart, or nothing else does."""
         return stamps_tell(self._stamps) or not self._by_time
 
-    def add(self, item: StampedLabels) -> None:
-        """Take one more label image; of two with the same time the later counts."""
-        compressed = _compressed(item.labels)
-        self._by_stamp[item.stamp] = compressed
-        self._stamps.append(item.stamp)
-        if item.recorded is not None:
-            self._by_time[item.recorded] = compressed
-            bisect.insort(self._times, item.recorded)
+    def insert(self, item: T, stamp: int, recorded: int | None) -> None:
+        """Take one more, of a frame with this stamp; of two with the same time the later counts.
 
-    def at(
+        :param recorded: when it was recorded; both times are in nanoseconds.
+        """
+        self._by_stamp[stamp] = item
+        self._stamps.append(stamp)
+        if recorded is not None:
+            self._by_time[recorded] = item
+            bisect.insort(self._times, recorded)
+
+    def find(
         self,
         stamp: int,
         recorded: int | None = None,
         period: float | None = None,
         same_recording: bool = True,
-    ) -> Labels | None:
-        """Return the labels of the frame with this stamp, None when there are none.
+    ) -> T | None:
+        """Return what belongs to the frame with this stamp, None when there is nothing.
 
-        Where stamps say nothing, or frame and labels have theirs of different clocks, it is the
-        labels that were recorded with the frame.
+        Where stamps say nothing, or are of different clocks, it is what was recorded with the
+        frame.
 
         :param recorded: when the frame was recorded, in nanoseconds.
         :param period: seconds from one frame to the next.
-        :param same_recording: whether the labels were recorded with the frame, or with what was
-            made of it later; then a stamp may be the time at which the frame was recorded.
+        :param same_recording: whether it was recorded with the frame, or with what was made of
+            that later; then a stamp may be the time at which the frame was recorded.
         """
         found = self._by_stamp.get(stamp) if self.stamps_tell else None
         if found is None and self._times and recorded is not None:
             found = self._recorded_with(stamp, recorded, period, same_recording)
-        return None if found is None else _uncompressed(found)
+        return found
 
-    def in_order(self) -> Iterator[Labels]:
-        """Yield the labels in the order in which they were recorded."""
+    def ordered(self) -> Iterator[T]:
+        """Yield all in the order in which they were recorded."""
         items = self._by_stamp if self.stamps_tell else self._by_time
-        yield from (_uncompressed(items[time]) for time in sorted(items))
+        yield from (items[time] for time in sorted(items))
 
     def _recorded_with(
         self, stamp: int, recorded: int, period: float | None, same_recording: bool
-    ) -> _Compressed | None:
+    ) -> T | None:
         if not self.stamps_tell:
             times = (recorded,) if same_recording else (stamp, recorded)
         elif (same_recording and recorded in self._by_time) or not self._same_clock(stamp):
             times = (recorded,)
         else:
-            # A frame without labels.
+            # A frame without any.
             return None
         near = (self._nearest(time, period) for time in times)
         return next((found for found in near if found is not None), None)
@@ -140,7 +139,7 @@ class LabelsByStamp:
         first, last = min(self._stamps), max(self._stamps)
         return first - _CLOCK_DIFFERENCE <= stamp <= last + _CLOCK_DIFFERENCE
 
-    def _nearest(self, time: int, period: float | None) -> _Compressed | None:
+    def _nearest(self, time: int, period: float | None) -> T | None:
         """Return what was recorded at a time, give or take half a period."""
         index = bisect.bisect(self._times, time)
         neighbours = self._times[max(index - 1, 0) : index + 1]
@@ -153,6 +152,45 @@ class LabelsByStamp:
     def _tolerance(self) -> float:
         steps = [later - earlier for earlier, later in itertools.pairwise(self._times)]
         return min(0.5 * statistics.median(steps or [0]), _MAX_TOLERANCE)
+
+
+class LabelsByStamp:
+    """Label images by the stamp of their frame, or by their own time where stamps say nothing.
+
+    They are held compressed, for those of a long high-resolution bag don't fit into memory.
+    """
+
+    def __init__(self, items: Iterable[StampedLabels] = ()) -> None:
+        self._compressed = ByStamp[_Compressed]()
+        for item in items:
+            self.add(item)
+
+    def __len__(self) -> int:
+        return len(self._compressed)
+
+    @property
+    def stamps_tell(self) -> bool:
+        """Whether stamps tell them apart, or nothing else does."""
+        return self._compressed.stamps_tell
+
+    def add(self, item: StampedLabels) -> None:
+        """Take one more label image; of two with the same time the later counts."""
+        self._compressed.insert(_compressed(item.labels), item.stamp, item.recorded)
+
+    def at(
+        self,
+        stamp: int,
+        recorded: int | None = None,
+        period: float | None = None,
+        same_recording: bool = True,
+    ) -> Labels | None:
+        """Return the labels of a frame, None when there are none; see `ByStamp.find`."""
+        found = self._compressed.find(stamp, recorded, period, same_recording)
+        return None if found is None else _uncompressed(found)
+
+    def in_order(self) -> Iterator[Labels]:
+        """Yield the labels in the order in which they were recorded."""
+        yield from map(_uncompressed, self._compressed.ordered())
 
 
 def result_from_labels(frame: Frame, labels: Labels) -> SegmentationResult:

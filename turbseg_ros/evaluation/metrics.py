@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter, defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,6 +27,8 @@ BOUNDARY_TOLERANCE = 0.008
 MATCH_IOU = 0.2
 # Share of its pixels that a predicted object has on true ones at least, unless it is false.
 TRUE_SHARE = 0.5
+# Least share of its frames in which a true object is found, or else it is missed.
+FOUND_SHARE = 0.1
 # A truth that holds only this value tells foreground from background, not object from object.
 _UNION_VALUE = 255
 
@@ -73,7 +75,7 @@ class ObjectOverlaps:
     `true_areas` and `predicted_areas` are those of whole objects.
     """
 
-    true_ids: tuple[int, ...]
+    true_ids: tuple[int | str, ...]
     predicted_ids: tuple[int, ...]
     shared: npt.NDArray[np.float64]
     true_areas: npt.NDArray[np.float64]
@@ -108,24 +110,95 @@ def object_overlaps(prediction: Labels, truth: Labels) -> ObjectOverlaps:
     )
 
 
-def count_false_objects(overlaps: ObjectOverlaps) -> int:
-    """Return the number of predicted objects in a frame where there is none.
+def false_ids(overlaps: ObjectOverlaps) -> tuple[int, ...]:
+    """Return the ids of the predicted objects in a frame where there is none.
 
     An object is a label's region. It is false when its IoU with every true object is below
     `MATCH_IOU` and less than `TRUE_SHARE` of its pixels lie on true objects of any id: neither
     one that was found badly, nor a fragment. For a union truth see `true_components`.
     """
     if not overlaps.predicted_ids:
-        return 0
+        return ()
     matched = (overlaps.iou >= MATCH_IOU).any(axis=0)
     share = overlaps.shared.sum(axis=0) / overlaps.predicted_areas
-    return int(np.count_nonzero(~matched & (share < TRUE_SHARE)))
+    false = ~matched & (share < TRUE_SHARE)
+    return tuple(i for i, its in zip(overlaps.predicted_ids, false, strict=True) if its)
 
 
 def true_components(truth: Labels) -> Labels:
     """Return a union truth, 0 and 255, with each connected part (of 8 neighbours) as an object."""
     _, components = cv2.connectedComponents((truth != 0).astype(np.uint8))
     return np.asarray(components)
+
+
+class PixelCounter:
+    """Counts the pixels of a sequence that are right, found in vain and missed, as CDnet does.
+
+    Goyette et al., "Changedetection.net: A new change detection benchmark dataset", CVPRW 2012.
+    """
+
+    def __init__(self) -> None:
+        self._shared = self._total = 0
+        self._has_truth = False
+
+    def add(self, prediction: Mask, truth: Mask) -> None:
+        """Take the next frame."""
+        shared, _, total = _overlap(prediction, truth)
+        self._shared += shared
+        self._total += total
+        self._has_truth = self._has_truth or bool(truth.any())
+
+    @property
+    def f_measure(self) -> float | None:
+        """F1 of the pixels of all frames together; None when none was true."""
+        return 2.0 * self._shared / self._total if self._has_truth else None
+
+
+class FoundCounter:
+    """Counts in how many of its frames each true object of a sequence was found."""
+
+    def __init__(self) -> None:
+        self._frames: Counter[int | str] = Counter()
+        self._found: Counter[int | str] = Counter()
+
+    def add(self, true_ids: Sequence[int | str], found: Sequence[bool]) -> None:
+        """Take the next frame, and which of its true objects were found."""
+        self._frames.update(true_ids)
+        self._found.update(i for i, its in zip(true_ids, found, strict=True) if its)
+
+    @property
+    def frames(self) -> Mapping[int | str, int]:
+        """How many frames each true object is in."""
+        return self._frames
+
+    def share(self, true_id: int | str) -> float:
+        """Return the share of its frames in which a true object was found."""
+        return self._found[true_id] / self._frames[true_id]
+
+    @property
+    def missed(self) -> float | None:
+        """The share of true objects found in less than `FOUND_SHARE` of their frames."""
+        if not self._frames:
+            return None
+        return float(np.mean([self.share(true_id) < FOUND_SHARE for true_id in self._frames]))
+
+
+class FalseIdCounter:
+    """Counts the ids of a sequence that were false whenever they were there."""
+
+    def __init__(self) -> None:
+        self._false: set[int] = set()
+        self._true: set[int] = set()
+
+    def add(self, predicted_ids: Sequence[int], false: Sequence[int]) -> None:
+        """Take the next frame's ids, and which of them are false."""
+        self._false.update(false)
+        self._true.update(set(predicted_ids) - set(false))
+
+    @property
+    def count(self) -> int:
+        """How many there are."""
+        return len(self._false - self._true)
 
 
 class ObjectJaccard:
@@ -139,8 +212,9 @@ class ObjectJaccard:
     """
 
     def __init__(self) -> None:
-        self._frames: Counter[int] = Counter()
-        self._sums: defaultdict[tuple[int, int], float] = defaultdict(float)
+        self._frames: Counter[int | str] = Counter()
+        self._sums: defaultdict[tuple[int | str, int], float] = defaultdict(float)
+        self._dice_sums: defaultdict[tuple[int | str, int], float] = defaultdict(float)
 
     def add(self, overlaps: ObjectOverlaps) -> None:
         """Take the next frame."""
@@ -149,25 +223,51 @@ class ObjectJaccard:
         for row, column in zip(*np.nonzero(iou), strict=True):
             pair = overlaps.true_ids[row], overlaps.predicted_ids[column]
             self._sums[pair] += float(iou[row, column])
+            self._dice_sums[pair] += 2.0 * float(iou[row, column] / (1.0 + iou[row, column]))
 
     @property
-    def by_object(self) -> dict[int, float] | None:
+    def by_object(self) -> dict[int | str, float] | None:
         """Mean J of each true id.
+
+        None without a true object, or when the truth doesn't tell objects apart.
+        """
+        partners = self._partners
+        if partners is None:
+            return None
+        return {
+            true_id: self._sums.get((true_id, partner), 0.0) / self._frames[true_id]
+            for true_id, partner in partners.items()
+        }
+
+    @property
+    def dice_by_object(self) -> dict[int | str, float] | None:
+        """Mean Dice's coefficient of each true id, beside the same predicted ids."""
+        partners = self._partners
+        if partners is None:
+            return None
+        return {
+            true_id: self._dice_sums.get((true_id, partner), 0.0) / self._frames[true_id]
+            for true_id, partner in partners.items()
+        }
+
+    @property
+    def _partners(self) -> dict[int | str, int] | None:
+        """The predicted id that stands for each true one, 0 where none does.
 
         None without a true object, or when the truth doesn't tell objects apart.
         """
         if not self._frames or set(self._frames) == {_UNION_VALUE}:
             return None
-        true_ids = sorted(self._frames)
+        true_ids = sorted(self._frames, key=str)
         predicted_ids = sorted({predicted for _, predicted in self._sums})
         means = np.zeros((len(true_ids), len(predicted_ids)))
         for (true_id, predicted_id), total in self._sums.items():
             pair = true_ids.index(true_id), predicted_ids.index(predicted_id)
             means[pair] = total / self._frames[true_id]
-        best = dict.fromkeys(true_ids, 0.0)
+        partners = dict.fromkeys(true_ids, 0)
         for row, column in zip(*linear_sum_assignment(means, maximize=True), strict=True):
-            best[true_ids[row]] = float(means[row, column])
-        return best
+            partners[true_ids[row]] = predicted_ids[column]
+        return partners
 
     @property
     def mean(self) -> float | None:
@@ -182,11 +282,15 @@ class IdSwitchCounter:
     As in CLEAR MOT (Bernardin and Stiefelhagen 2008): objects keep their partner of the frame
     before while it still fits; the rest are paired for the largest overlap. A pair that
     contradicts the true object's last pair, however long ago, is a switch.
+
+    `match_iou` is the least IoU of a pair.
     """
 
-    def __init__(self) -> None:
-        self._partner: dict[int, int] = {}
-        self._true_ids: set[int] = set()
+    def __init__(self, match_iou: float = MATCH_IOU) -> None:
+        self._match_iou = match_iou
+        self._partner: dict[int | str, int] = {}
+        self._partners: defaultdict[int | str, set[int]] = defaultdict(set)
+        self._true_ids: set[int | str] = set()
         self._switches = 0
 
     @property
@@ -194,19 +298,28 @@ class IdSwitchCounter:
         """The switches so far; None when the truth doesn't tell objects apart (0/255 masks)."""
         return None if self._true_ids == {_UNION_VALUE} else self._switches
 
+    @property
+    def ids_per_object(self) -> float | None:
+        """The mean number of ids that a true object had, of those that were found at all."""
+        if self._true_ids == {_UNION_VALUE} or not self._partners:
+            return None
+        return float(np.mean([len(ids) for ids in self._partners.values()]))
+
     def add(self, overlaps: ObjectOverlaps) -> None:
         """Take the next frame."""
         true_ids, predicted_ids, iou = overlaps.true_ids, overlaps.predicted_ids, overlaps.iou
         self._true_ids.update(true_ids)
-        for row, column in _pairs(iou, self._kept_pairs(true_ids, predicted_ids, iou)):
+        kept_pairs = self._kept_pairs(true_ids, predicted_ids, iou)
+        for row, column in _pairs(iou, kept_pairs, self._match_iou):
             true_id, predicted_id = true_ids[row], predicted_ids[column]
             if self._partner.get(true_id, predicted_id) != predicted_id:
                 self._switches += 1
             self._partner[true_id] = predicted_id
+            self._partners[true_id].add(predicted_id)
 
     def _kept_pairs(
         self,
-        true_ids: Sequence[int],
+        true_ids: Sequence[int | str],
         predicted_ids: Sequence[int],
         iou: npt.NDArray[np.float64],
     ) -> list[tuple[int, int]]:
@@ -214,7 +327,7 @@ class IdSwitchCounter:
         kept: dict[int, int] = {}
         for row, true_id in enumerate(true_ids):
             column = columns.get(self._partner.get(true_id, 0))
-            if column is not None and iou[row, column] >= MATCH_IOU:
+            if column is not None and iou[row, column] >= self._match_iou:
                 # Two objects whose last partner is the same can't both keep it.
                 baseline = kept.get(column)
                 if baseline is None or iou[row, column] > iou[baseline, column]:
@@ -222,9 +335,11 @@ class IdSwitchCounter:
         return [(row, column) for column, row in kept.items()]
 
 
-def _pairs(iou: npt.NDArray[np.float64], kept: list[tuple[int, int]]) -> list[tuple[int, int]]:
+def _pairs(
+    iou: npt.NDArray[np.float64], kept: list[tuple[int, int]], match_iou: float
+) -> list[tuple[int, int]]:
     """Complete `kept` to the pairing of rows and columns with the largest overlap."""
-    free = np.where(iou >= MATCH_IOU, iou, 0.0)
+    free = np.where(iou >= match_iou, iou, 0.0)
     for row, column in kept:
         free[row, :] = 0.0
         free[:, column] = 0.0

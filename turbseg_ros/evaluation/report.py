@@ -22,7 +22,13 @@ from turbseg_ros.evaluation.chart import Chart, Line
 from turbseg_ros.evaluation.experiments import ScoredExperiment, ScoredRow
 from turbseg_ros.evaluation.pictures import Illustrations, Picture
 from turbseg_ros.evaluation.run import Run, RunResult
-from turbseg_ros.evaluation.scores import COLUMNS, BagScores, mean_scores, write_whole
+from turbseg_ros.evaluation.scores import (
+    COLUMNS,
+    OBJECT_COLUMNS,
+    BagScores,
+    mean_scores,
+    write_whole,
+)
 from turbseg_ros.parameters import Parameters, Value
 
 PAGE = "index.html"
@@ -105,6 +111,7 @@ class ReportWriter:
             command=report.command,
             partial=report.partial,
             columns=COLUMNS,
+            object_columns=OBJECT_COLUMNS,
             comparable=[column for column in COLUMNS if column.name not in _OF_THE_BAG],
             scores=[dataclasses.asdict(bag) for bag in scores],
             mean=mean_scores(scores),

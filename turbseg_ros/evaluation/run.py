@@ -12,9 +12,9 @@ from turbseg_ros.bag.section import WHOLE, Section
 from turbseg_ros.evaluation.baselines import Method
 from turbseg_ros.evaluation.disturbance import Disturbance, DisturbanceError, DisturbedClip
 from turbseg_ros.evaluation.evaluate import EvaluationError, evaluate_segmenter
-from turbseg_ros.evaluation.labels import LabelsByStamp, read_labels
 from turbseg_ros.evaluation.pictures import Illustrations, Illustrator
 from turbseg_ros.evaluation.scores import BagScores
+from turbseg_ros.evaluation.truth import BoxesByStamp, read_ignored, read_truth
 from turbseg_ros.overlay import DEFAULT_ANNOTATORS, OutlineAnnotator
 from turbseg_ros.segmentation.frame import Frame
 
@@ -68,10 +68,17 @@ class Run:
         :raises EvaluationError: when frames and truth don't go together, or can't be disturbed.
         """
         reader = BagReader(self.source.path, self.source.section)
-        truth = LabelsByStamp(read_labels(reader, self.source.truth_topic))
+        truth = read_truth(reader, self.source.truth_topic)
+        # What counts in no frame may be told before the section begins.
+        ignored = read_ignored(
+            reader if self.source.section == WHOLE else BagReader(self.source.path)
+        )
         images = BagFrames(reader, reader.find_image_topic(self.source.image_topic))
         frames: Iterable[Frame] = progress(images)
         if self.disturbance is not None:
+            if isinstance(truth, BoxesByStamp):
+                name = self.source.name
+                raise EvaluationError(f"{name}: only a truth of masks can be disturbed, not boxes")
             frames = clip = DisturbedClip(frames, len(images), truth, self.disturbance)
             truth = clip.truth
         illustrator = self._illustrator(len(images))
@@ -82,6 +89,7 @@ class Run:
                 self.method.segmenter(),
                 truth,
                 [] if illustrator is None else [illustrator],
+                ignored,
             )
         except DisturbanceError as error:
             raise EvaluationError(f"{self.source.name}: {error}") from error

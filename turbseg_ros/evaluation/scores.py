@@ -11,19 +11,48 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
+from turbseg_ros.evaluation.boxes import box_overlaps
 from turbseg_ros.evaluation.metrics import (
+    MATCH_IOU,
+    FalseIdCounter,
+    FoundCounter,
     IdSwitchCounter,
     Labels,
     ObjectJaccard,
+    ObjectOverlaps,
+    PixelCounter,
     boundary_f,
-    count_false_objects,
     dice,
+    false_ids,
     foreground_fraction,
     jaccard,
     object_overlaps,
     true_components,
 )
+from turbseg_ros.evaluation.tracking import TrackingScorer
+from turbseg_ros.messages.detections import Detection
+
+# A true box may be drawn loosely: what overlaps it at all is taken for it.
+_TOUCHING = 1e-9
+# IoU from which on a box counts as found well.
+_WELL = 0.5
+
+
+@dataclass(frozen=True)
+class ObjectScores:
+    """What a true object's segmentation is worth; None where truth is boxes, or a union.
+
+    `found` is the share of its `frames` in which it was found: touched where truth is a box, at an
+    IoU of `MATCH_IOU` or more where it is a mask. `j` and `dice` are means over its frames.
+    """
+
+    id: int | str
+    frames: int
+    found: float
+    j: float | None
+    dice: float | None
 
 
 @dataclass(frozen=True)
@@ -37,7 +66,16 @@ class BagScores:
     object in which something was found, `false_alarm_area` is the mean share of the image found in
     all such frames. `false_objects` is the mean number, over all frames with a truth, of objects
     found where there is none; see `count_false_objects`. `j_object` and `id_switches` are None
-    when the truth doesn't tell objects apart. `fps`, `ms_p50` and `ms_p95` are of the segmentation
+    when the truth doesn't tell objects apart.
+
+    `hits` and `hits_50` are the shares of true boxes, frame by frame, that the box of some object
+    overlaps, at all and by an IoU of 0.5; `box_iou` is the mean of the best IoU: None without
+    boxes. `false_object_frames` counts frames with false objects, `false_ids` ids that were false
+    whenever they were there, `ids_per_object` how many ids a true object had, where it was found.
+    `missed` is the share of true objects found in less than a tenth of their frames; a union
+    counts as one. `mota`, `idf1` and `hota` are those of the MOTChallenge, over masks or boxes.
+    `pixel_f` is the F measure of all frames' pixels together, as in CDnet. `objects` has each true
+    object. `fps`, `ms_p50` and `ms_p95` are of the segmentation
     alone, `tilt_px` is the median of the measured turbulence.
     """
 
@@ -53,6 +91,18 @@ class BagScores:
     false_alarm_area: float | None
     false_objects: float | None
     id_switches: int | None
+    pixel_f: float | None
+    hits: float | None
+    hits_50: float | None
+    box_iou: float | None
+    false_object_frames: int
+    false_ids: int | None
+    ids_per_object: float | None
+    missed: float | None
+    mota: float | None
+    idf1: float | None
+    hota: float | None
+    objects: tuple[ObjectScores, ...]
     fps: float | None
     ms_p50: float | None
     ms_p95: float | None
@@ -60,7 +110,17 @@ class BagScores:
 
     def without_ids(self) -> BagScores:
         """Return the scores of something that doesn't claim to follow objects."""
-        return dataclasses.replace(self, j_object=None, id_switches=None)
+        return dataclasses.replace(
+            self,
+            j_object=None,
+            id_switches=None,
+            false_ids=None,
+            ids_per_object=None,
+            mota=None,
+            idf1=None,
+            hota=None,
+            objects=tuple(dataclasses.replace(each, j=None, dice=None) for each in self.objects),
+        )
 
 
 @dataclass
@@ -94,46 +154,100 @@ class Measurements:
 
 
 class Scorer:
-    """Scores the frames of one sequence, in order."""
+    """Scores the frames of one sequence, in order, against labels or against boxes."""
 
     def __init__(self) -> None:
         self._j: list[float] = []
         self._dice: list[float] = []
         self._boundary_f: list[float] = []
+        self._best_box_iou: list[float] = []
         self._false_alarm_areas: list[float] = []
         self._false_objects: list[int] = []
+        self._frames = 0
+        self._pixels = PixelCounter()
+        self._found = FoundCounter()
+        self._false_ids = FalseIdCounter()
         self._object_jaccard = ObjectJaccard()
         self._id_switches = IdSwitchCounter()
+        self._tracking: TrackingScorer | None = TrackingScorer()
 
-    def add(self, prediction: Labels, truth: Labels) -> None:
-        """Score the next frame.
+    def add(self, prediction: Labels, truth: Labels, ignored: Labels | None = None) -> None:
+        """Score the next frame against labels.
 
-        :raises ValueError: when prediction and truth differ in size.
+        :param ignored: non-zero where pixels count neither as right nor as wrong; a frame in
+            which none counts is left out.
+        :raises ValueError: when the images differ in size.
         """
-        if prediction.shape != truth.shape:
-            raise ValueError(
-                f"truth of {_size(truth)} doesn't fit labels of {_size(prediction)} pixels"
-            )
+        for image in (truth, ignored):
+            if image is not None and prediction.shape != image.shape:
+                raise ValueError(
+                    f"truth of {_size(image)} doesn't fit labels of {_size(prediction)} pixels"
+                )
+        if ignored is not None:
+            if ignored.all():
+                return
+            prediction, truth = (np.where(ignored, 0, each) for each in (prediction, truth))
         overlaps = object_overlaps(prediction, truth)
-        self._id_switches.add(overlaps)
+        j = jaccard(prediction, truth)
         self._object_jaccard.add(overlaps)
+        if overlaps.tells_objects_apart:
+            best = overlaps.iou.max(axis=1, initial=0.0)
+            self._found.add(overlaps.true_ids, (best >= MATCH_IOU).tolist())
+        else:
+            self._found.add(overlaps.true_ids, [j >= MATCH_IOU])
+            self._tracking = None
+        self._id_switches.add(overlaps)
+        if self._tracking is not None:
+            self._tracking.add(overlaps.true_ids, overlaps.predicted_ids, overlaps.iou)
         if not overlaps.tells_objects_apart:
             overlaps = object_overlaps(prediction, true_components(truth))
-        self._false_objects.append(count_false_objects(overlaps))
+        self._add_false(overlaps, false_ids(overlaps))
+        self._pixels.add(prediction, truth)
         if truth.any():
-            self._j.append(jaccard(prediction, truth))
+            self._j.append(j)
             self._dice.append(dice(prediction, truth))
             self._boundary_f.append(boundary_f(prediction, truth))
         else:
             self._false_alarm_areas.append(foreground_fraction(prediction))
 
+    def add_boxes(
+        self, prediction: Labels, truth: Sequence[Detection], ignored: Labels | None = None
+    ) -> None:
+        """Score the next frame against boxes.
+
+        :param ignored: non-zero where objects that are found beside the boxes are not false.
+        :raises ValueError: when the images differ in size.
+        """
+        if not self._frames:
+            self._id_switches = IdSwitchCounter(_TOUCHING)
+        overlaps = box_overlaps(prediction, truth, ignored)
+        best = overlaps.iou.max(axis=1, initial=0.0)
+        self._best_box_iou += best.tolist()
+        self._found.add(overlaps.true_ids, (best > 0.0).tolist())
+        self._id_switches.add(overlaps)
+        if self._tracking is not None:
+            self._tracking.add(overlaps.true_ids, overlaps.predicted_ids, overlaps.iou)
+        touched = overlaps.shared.sum(axis=0).tolist()
+        false = [i for i, area in zip(overlaps.predicted_ids, touched, strict=True) if not area]
+        self._add_false(overlaps, false)
+        if not overlaps.true_ids:
+            alarms = np.isin(prediction, overlaps.predicted_ids)
+            self._false_alarm_areas.append(foreground_fraction(alarms))
+
+    def _add_false(self, overlaps: ObjectOverlaps, false: Sequence[int]) -> None:
+        self._frames += 1
+        self._false_objects.append(len(false))
+        self._false_ids.add(overlaps.predicted_ids, false)
+
     def scores(self, bag: str, frames: int, measurements: Measurements) -> BagScores:
         """Sum up what was scored of a bag with so many `frames`."""
         j, dice_ = _mean(self._j), _mean(self._dice)
+        boxes = np.array(self._best_box_iou)
+        tracking = None if self._tracking is None else self._tracking.scores()
         return BagScores(
             bag=bag,
             frames=frames,
-            scored_frames=len(self._j) + len(self._false_alarm_areas),
+            scored_frames=self._frames,
             j=j,
             dice=dice_,
             g=None if j is None or dice_ is None else (j + dice_) / 2,
@@ -143,20 +257,51 @@ class Scorer:
             false_alarm_area=_mean(self._false_alarm_areas),
             false_objects=_mean(self._false_objects),
             id_switches=self._id_switches.switches,
+            pixel_f=self._pixels.f_measure,
+            hits=_mean(boxes > 0.0),
+            hits_50=_mean(boxes >= _WELL),
+            box_iou=_mean(boxes),
+            false_object_frames=int(np.count_nonzero(self._false_objects)),
+            false_ids=self._false_ids.count,
+            ids_per_object=self._id_switches.ids_per_object,
+            missed=self._found.missed,
+            mota=None if tracking is None else tracking.mota,
+            idf1=None if tracking is None else tracking.idf1,
+            hota=None if tracking is None else tracking.hota,
+            objects=self._objects(),
             fps=measurements.fps,
             ms_p50=measurements.push_milliseconds(50),
             ms_p95=measurements.push_milliseconds(95),
             tilt_px=measurements.median_tilt,
         )
 
+    def _objects(self) -> tuple[ObjectScores, ...]:
+        j = self._object_jaccard.by_object or {}
+        dice_ = self._object_jaccard.dice_by_object or {}
+        return tuple(
+            ObjectScores(each, frames, self._found.share(each), j.get(each), dice_.get(each))
+            for each, frames in self._found.frames.items()
+        )
+
 
 def mean_scores(bags: Sequence[BagScores]) -> dict[str, float | None]:
-    """Return each figure's mean over the bags that have it."""
-    names = [figure.name for figure in dataclasses.fields(BagScores) if figure.name != "bag"]
-    return {
+    """Return each figure's mean over the bags that have it.
+
+    `miou` and `mdice` are means over all true objects of all bags, each with the same weight.
+    """
+    names = [
+        figure.name
+        for figure in dataclasses.fields(BagScores)
+        if figure.name not in ("bag", "objects")
+    ]
+    means = {
         name: _mean([value for bag in bags if (value := getattr(bag, name)) is not None])
         for name in names
     }
+    objects = [each for bag in bags for each in bag.objects]
+    means["miou"] = _mean([each.j for each in objects if each.j is not None])
+    means["mdice"] = _mean([each.dice for each in objects if each.dice is not None])
+    return means
 
 
 def write_json(
@@ -238,6 +383,23 @@ COLUMNS = (
     Column("tilt px", "tilt_px", ".2f", "turbulence as it was measured: rms tilt an axis, pixels"),
 )
 
+OBJECT_COLUMNS = (
+    Column("hits", "hits", ".3f", "share of true boxes that something found overlaps"),
+    Column("IoU 0.5", "hits_50", ".3f", "share of true boxes found with an IoU of 0.5 or more"),
+    Column("box IoU", "box_iou", ".3f", "IoU of true boxes with the best that was found"),
+    Column("false obj", "false_objects", ".2f", "objects a frame that were found in vain"),
+    Column("false fr", "false_object_frames", ".4g", "frames in which some were found in vain"),
+    Column("false id", "false_ids", ".4g", "ids of what was found in vain"),
+    Column("ids/obj", "ids_per_object", ".2f", "ids that a true object had, where it was found"),
+    Column("id sw", "id_switches", ".4g", "times that a true object changed its id"),
+    Column("missed", "missed", ".2f", "share of true objects found in under a tenth of theirs"),
+    Column("MOTA", "mota", ".3f", "of the MOTChallenge, at an IoU of 0.5"),
+    Column("IDF1", "idf1", ".3f", "of the MOTChallenge, at an IoU of 0.5"),
+    Column("HOTA", "hota", ".3f", "of the MOTChallenge, mean over IoU 0.05 to 0.95"),
+    Column("pixel F", "pixel_f", ".3f", "F measure of all pixels together, as in CDnet"),
+)
+"""What a second table tells of objects: boxes, false ones, ids."""
+
 
 @dataclass(frozen=True)
 class Table:
@@ -248,16 +410,19 @@ class Table:
 
     title: str
     name_width: int
+    columns: Sequence[Column] = COLUMNS
 
     @classmethod
-    def of(cls, names: Sequence[str], title: str = "bag") -> Table:
+    def of(
+        cls, names: Sequence[str], title: str = "bag", columns: Sequence[Column] = COLUMNS
+    ) -> Table:
         """Lay out a table for bags, or whatever `title` says, of these names."""
-        return cls(title, max(map(len, (*names, title, "mean"))))
+        return cls(title, max(map(len, (*names, title, "mean"))), columns)
 
     @property
     def head(self) -> str:
         """The line of titles."""
-        return self._line(self.title, [column.title for column in COLUMNS])
+        return self._line(self.title, [column.title for column in self.columns])
 
     def row(self, scores: BagScores) -> str:
         """Return the line of one bag."""
@@ -268,15 +433,17 @@ class Table:
         return self._row(name, mean_scores(bags))
 
     def _row(self, name: str, figures: Mapping[str, Any]) -> str:
-        return self._line(name, [column.text(figures) for column in COLUMNS])
+        return self._line(name, [column.text(figures) for column in self.columns])
 
     def _line(self, name: str, cells: Sequence[str]) -> str:
-        padded = (cell.rjust(column.width) for cell, column in zip(cells, COLUMNS, strict=True))
+        padded = (
+            cell.rjust(column.width) for cell, column in zip(cells, self.columns, strict=True)
+        )
         return "  ".join((name.ljust(self.name_width), *padded))
 
 
-def _mean(values: Sequence[float]) -> float | None:
-    return float(np.mean(values)) if values else None
+def _mean(values: Sequence[float] | npt.NDArray[Any]) -> float | None:
+    return float(np.mean(values)) if len(values) else None
 
 
 def _size(labels: Labels) -> str:

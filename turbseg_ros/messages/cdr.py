@@ -1,4 +1,4 @@
-"""Images read where they lie in a serialised message, and serialised with one copy of their data.
+"""Serialised messages, field by field; images read where they lie, written with one copy.
 
 The format is what DDS calls plain CDR (OMG DDSI-RTPS, section 10): four bytes about the format,
 then the fields in turn, each number aligned to its own size, strings and sequences after their
@@ -51,7 +51,7 @@ def image_view(serialised: memoryview) -> ImageView:
 
     :raises SerialisedDataError: when it is none.
     """
-    fields = _Fields(serialised)
+    fields = FieldReader(serialised)
     return ImageView(
         header=fields.header(),
         height=fields.number("I"),
@@ -68,7 +68,7 @@ def compressed_image_view(serialised: memoryview) -> CompressedImageView:
 
     :raises SerialisedDataError: when it is none.
     """
-    fields = _Fields(serialised)
+    fields = FieldReader(serialised)
     return CompressedImageView(fields.header(), fields.text(), fields.sequence())
 
 
@@ -77,7 +77,7 @@ def ffmpeg_packet_view(serialised: memoryview) -> CompressedImageView:
 
     :raises SerialisedDataError: when it is none.
     """
-    fields = _Fields(serialised)
+    fields = FieldReader(serialised)
     header = fields.header()
     fields.number("i"), fields.number("i")  # width, height
     encoding = fields.text()
@@ -90,7 +90,7 @@ def compressed_video_view(serialised: memoryview) -> CompressedImageView:
 
     :raises SerialisedDataError: when it is none.
     """
-    fields = _Fields(serialised)
+    fields = FieldReader(serialised)
     header = fields.header()  # its timestamp and frame_id lie like those of one
     data = fields.sequence()
     return CompressedImageView(header, fields.text(), data)
@@ -98,30 +98,46 @@ def compressed_video_view(serialised: memoryview) -> CompressedImageView:
 
 def serialised_image(image: Image) -> bytes:
     """Return an image as rclpy would serialise it, in a fraction of the time."""
-    fields = bytearray()
+    fields = FieldWriter()
+    fields.header(image.header)
+    fields.number("I", image.height)
+    fields.number("I", image.width)
+    fields.text(image.encoding)
+    fields.number("B", image.is_bigendian)
+    fields.number("I", image.step)
+    fields.number("I", len(image.data))
+    return b"".join((fields.serialised(), memoryview(image.data)))
 
-    def number(kind: str, value: int) -> None:
-        fields.extend(bytes(-len(fields) % struct.calcsize(kind)))
-        fields.extend(struct.pack(f"={kind}", value))
 
-    def text(value: str) -> None:
+class FieldWriter:
+    """Serialises the fields of a message, one after the other."""
+
+    def __init__(self) -> None:
+        self._fields = bytearray()
+
+    def header(self, header: Header) -> None:
+        """Append a `std_msgs/Header`."""
+        self.number("i", header.stamp.sec)
+        self.number("I", header.stamp.nanosec)
+        self.text(header.frame_id)
+
+    def number(self, kind: str, value: float) -> None:
+        """Append a number; `kind` is struct's letter for it."""
+        self._fields.extend(bytes(-len(self._fields) % struct.calcsize(kind)))
+        self._fields.extend(struct.pack(f"={kind}", value))
+
+    def text(self, value: str) -> None:
+        """Append a string."""
         content = value.encode() + b"\0"
-        number("I", len(content))
-        fields.extend(content)
+        self.number("I", len(content))
+        self._fields.extend(content)
 
-    number("i", image.header.stamp.sec)
-    number("I", image.header.stamp.nanosec)
-    text(image.header.frame_id)
-    number("I", image.height)
-    number("I", image.width)
-    text(image.encoding)
-    number("B", image.is_bigendian)
-    number("I", image.step)
-    number("I", len(image.data))
-    return b"".join((_NATIVE_FORMAT, fields, memoryview(image.data)))
+    def serialised(self) -> bytes:
+        """Return what was appended, after the bytes about the format."""
+        return _NATIVE_FORMAT + self._fields
 
 
-class _Fields:
+class FieldReader:
     """The fields of a serialised message, one after the other."""
 
     def __init__(self, serialised: memoryview) -> None:
@@ -133,14 +149,22 @@ class _Fields:
         self._position = 0
 
     def header(self) -> Header:
+        """Return the next field, a `std_msgs/Header`."""
         stamp = Time(sec=self.number("i"), nanosec=self.number("I"))
         return Header(stamp=stamp, frame_id=self.text())
 
     def number(self, kind: str) -> int:
-        """Return the next number; `kind` is struct's letter for it."""
+        """Return the next whole number; `kind` is struct's letter for it."""
+        return int(self._number(kind))
+
+    def real(self) -> float:
+        """Return the next number of double precision."""
+        return float(self._number("d"))
+
+    def _number(self, kind: str) -> float:
         size = struct.calcsize(kind)
         start = -(-self._position // size) * size
-        value: int
+        value: float
         (value,) = struct.unpack(self._order + kind, self._bytes(start, size))
         return value
 

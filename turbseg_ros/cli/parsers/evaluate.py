@@ -47,7 +47,7 @@ def build_parser() -> argparse.ArgumentParser:
         description="Segment bags and score the results against the truth that the bags hold.",
     )
     parser.add_argument(
-        "bags", nargs="+", type=Path, metavar="BAG", help="rosbag2 directory, or one file"
+        "bags", nargs="*", type=Path, metavar="BAG", help="rosbag2 directory, or one file"
     )
     parser.add_argument(
         "--image-topic", metavar="T", help="images to segment, where bags have several topics"
@@ -58,6 +58,12 @@ def build_parser() -> argparse.ArgumentParser:
     add_section_options(parser)
     parser.add_argument("--json", type=Path, metavar="F", help="also write the scores as JSON")
     parser.add_argument(
+        "--csv", type=Path, metavar="DIR", help="also write every table as DIR/NAME.csv"
+    )
+    parser.add_argument(
+        "--latex", type=Path, metavar="DIR", help="also write every table as DIR/NAME.tex"
+    )
+    parser.add_argument(
         "--report", type=Path, metavar="DIR", help="also write DIR/index.html, with pictures"
     )
     parser.add_argument(
@@ -65,6 +71,13 @@ def build_parser() -> argparse.ArgumentParser:
     )
     _add_comparisons(parser)
     _add_cluster(parser)
+    parser.add_argument(
+        "--compare",
+        nargs=2,
+        type=Path,
+        metavar=("BEFORE", "AFTER"),
+        help="no BAG, but the --json files of two evaluations: differences, and how sure they are",
+    )
     recorded = parser.add_argument_group("recorded results, instead of segmenting")
     recorded.add_argument(
         "--predictions", type=Path, metavar="BAG", help="bag with the labels found in BAG"
