@@ -10,7 +10,7 @@ EXTRAS := bags,evaluation,cluster,test,docs,lint,colcon$(if $(SOURCED_ROS),,$(co
 CONSTRAINTS := $(if $(SOURCED_ROS),,-c constraints.txt)
 
 .DEFAULT_GOAL := help
-.PHONY: help venv learning demo test test-learning docs bench figures soak fuzz lint clean
+.PHONY: help venv learning demo test test-learning docs bench figures real soak fuzz lint clean
 
 help: ## what there is
 	@echo 'make TARGET, in the folder of this file; all but help and clean make .venv first:'
@@ -63,6 +63,13 @@ figures: venv ## the tables and pictures of the documents
 	rm -rf out/severe
 	$(BIN)/python -m turbseg_ros.cli replay bags/severe -o out/severe --overlay docs/images/severe.jpg
 	$(BIN)/python -m turbseg_ros.cli stages bags/normal -o docs/images/stages.jpg
+
+# Clips of data sets that are not part of this repository, wherever they lie. Bags that were
+# imported once are taken again.
+FRAMES ?=
+real: venv ## score the data sets in DATA=/path, in halves (FRAMES=N of each clip)
+	@test -n "$(DATA)" || { echo 'which data? make real DATA=/path (real --help says what is looked for)'; exit 2; }
+	$(BIN)/python -m turbseg_ros.cli real $(DATA) -o out/real $(if $(FRAMES),--frames $(FRAMES))
 
 # What takes minutes: floods, long runs, thousands of random messages.
 soak: venv ## tests that take minutes each

@@ -17,7 +17,7 @@ TIME_LIMIT = 100
 
 EXECUTABLES = (
     *("node", "play", "replay", "evaluate", "simulate", "import"),
-    *("benchmark", "train", "demo", "stages"),
+    *("benchmark", "train", "demo", "stages", "real"),
 )
 # Everything that is not Python's own.
 ALL = (

@@ -45,6 +45,7 @@ benchmark = _starter("benchmark")
 train = _starter("train")
 demo = _starter("demo")
 stages = _starter("stages")
+real = _starter("real")
 
 _STARTERS = {
     "node": node,
@@ -57,6 +58,7 @@ _STARTERS = {
     "train": train,
     "demo": demo,
     "stages": stages,
+    "real": real,
 }
 
 
