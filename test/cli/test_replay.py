@@ -133,6 +133,7 @@ def test_result_bag_holds_the_topics_of_the_node(bag: Path, tmp_path: Path) -> N
         "/turbseg/annotations": 8,
         # From the first frame with an object on, and also when it is gone.
         "/turbseg/objects/slot_1/mask": 6,
+        "/diagnostics": 1,
     }
 
 
@@ -206,6 +207,7 @@ def test_an_output_that_fails_takes_no_other_along(
         "/turbseg/centroids": 8,
         "/turbseg/annotations": 4,
         "/turbseg/objects/slot_1/mask": 6,
+        "/diagnostics": 1,
     }
     assert (
         "8 results, 0 images skipped, annotations missing in 4 frames" in capsys.readouterr().out

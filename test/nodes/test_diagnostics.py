@@ -10,6 +10,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 
 from turbseg_ros.nodes.diagnostics import Event, NodeState, Statistics, status_message
 from turbseg_ros.parameters import DiagnosticsParameters
+from turbseg_ros.segmentation.camera_state import CameraState
 from turbseg_ros.segmentation.condition import Condition
 from turbseg_ros.segmentation.frame import Frame, SegmentationResult
 
@@ -120,6 +121,7 @@ def test_reports_rates_latencies_and_what_was_seen(statistics, clock):
     assert float(shown["latency from arrival p95 (ms)"]) == pytest.approx(19.05, abs=0.1)
     assert shown["turbulence (px)"] == "0.73"
     assert shown["ego-motion model"] == "similarity"
+    assert shown["camera"] == "still"
     assert shown["objects"] == "0"
     assert shown["look-ahead (frames)"] == "6"
     assert shown["images waiting"] == "2"
@@ -280,3 +282,13 @@ def test_a_disabled_node_is_well(statistics, clock):
     message = status(statistics.take(), enabled=False)
     assert message.level == DiagnosticStatus.OK
     assert message.message == "disabled"
+
+
+@pytest.mark.parametrize("camera", [CameraState.SLEWING, CameraState.LOST])
+def test_a_camera_that_slews_or_is_lost_is_told_but_no_fault(statistics, camera):
+    statistics.count(Event.RECEIVED)
+    statistics.answered(replace(RESULT, camera=camera), since_stamp=0.1, since_arrival=0.1)
+    told = status(statistics.take())
+    assert told.level == OK
+    assert "camera" in told.message
+    assert {each.key: each.value for each in told.values}["camera"] == camera.value

@@ -13,9 +13,12 @@ from turbseg_ros.segmentation.average import Average, MeanAverage, SlopeAverage
 from turbseg_ros.segmentation.geometry import affine_flow, pixel_grid, sampson_distance
 from turbseg_ros.segmentation.motion import (
     AffineMotion,
+    MotionAgainstPicture,
     MotionEstimate,
+    SampsonMotion,
     UncheckedMotion,
     agree,
+    measure_for,
     measured_tilt,
     merged,
     next_interval,
@@ -292,3 +295,29 @@ def test_estimates_are_merged_where_they_are_said_to_be() -> None:
     both = merged(still, moving, where)
     np.testing.assert_array_equal(both.velocity[where], moving.velocity[where])
     np.testing.assert_array_equal(both.motion_map[~where], still.motion_map[~where])
+
+
+def test_before_a_plain_sky_only_what_stands_out_moves() -> None:
+    """Flow smears a target's motion over most of the picture, and no camera's motion is fitted."""
+    flows = {k: np.full((*SHAPE, 2), (1.5 * k, 0.0), np.float32) for k in CENTRED}
+    textured = np.zeros(SHAPE, bool)
+    textured[OBJECT] = True
+    measure = measure_for(AffineMotion(SLOPE), textured)
+    assert isinstance(measure, MotionAgainstPicture)
+    assert measure.intervals(4) == AffineMotion(SLOPE).intervals(4)
+    (motion,) = measure.motions(flows, SEEN, 4)
+    np.testing.assert_allclose(motion.motion_map[OBJECT], 1.5, rtol=1e-5)
+    assert not motion.motion_map[~textured].any()
+    assert motion.ego_motion_model == "none"
+
+
+@pytest.mark.parametrize("measure", [AffineMotion(SLOPE), SampsonMotion(4)])
+def test_where_the_cameras_motion_is_known_the_chosen_measure_measures(
+    measure: AffineMotion | SampsonMotion,
+) -> None:
+    assert measure_for(measure, None) is measure
+
+
+def test_the_papers_measure_stays_where_nothing_tells_the_cameras_motion() -> None:
+    measure = SampsonMotion(4)
+    assert measure_for(measure, np.ones(SHAPE, bool)) is measure

@@ -9,10 +9,12 @@ import pytest
 from support.drawn_scene import ByteImage, texture
 from turbseg_ros.segmentation.geometry import pixel_grid
 from turbseg_ros.segmentation.registration import (
+    EgoMotionModel,
     align,
     phase_correlation,
-    register_affine,
+    register,
     visible,
+    without_vote,
 )
 
 SHAPE = (144, 240)
@@ -39,7 +41,15 @@ def warped(image: ByteImage, transform: np.ndarray) -> ByteImage:
     )
 
 
-def largest_error(found: np.ndarray | None, true: np.ndarray) -> float:
+def affine(source: ByteImage, target: ByteImage) -> np.ndarray:
+    """Register pictures whose motion can be told in full."""
+    found = register(source, target)
+    assert found is not None
+    assert found.model is EgoMotionModel.AFFINE
+    return found.motion
+
+
+def largest_error(found: np.ndarray, true: np.ndarray) -> float:
     """Distance in pixels between where two transforms take a pixel, where it is worst."""
     points = pixel_grid(SHAPE).reshape(-1, 1, 2).astype(float)
     there = cv2.perspectiveTransform(points, found) - cv2.perspectiveTransform(points, true)
@@ -66,13 +76,13 @@ def test_phase_correlation_finds_a_translation(step: tuple[float, float]) -> Non
     ids=["none", "shift", "roll", "all", "strong shake"],
 )
 def test_an_affine_motion_is_found_within_a_tenth_of_a_pixel(motion: np.ndarray) -> None:
-    assert largest_error(register_affine(GROUND, warped(GROUND, motion)), motion) < 0.1
+    assert largest_error(affine(GROUND, warped(GROUND, motion)), motion) < 0.1
 
 
 def test_a_leap_by_a_third_of_the_picture_is_found() -> None:
     leap = shift(-70.0, 40.0)
     # Half of the picture is left to measure it by.
-    assert largest_error(register_affine(GROUND, warped(GROUND, leap)), leap) < 0.2
+    assert largest_error(affine(GROUND, warped(GROUND, leap)), leap) < 0.2
 
 
 def with_lorry(image: ByteImage, x: int) -> ByteImage:
@@ -92,8 +102,7 @@ def test_objects_before_a_faint_sky_take_no_part_in_the_ego_motion() -> None:
             picture[top : top + 24, left : left + 48] = texture((24, 48), seed, low=0, high=255)
         picture += np.random.default_rng(number).normal(0, 1.0, picture.shape)
         pictures.append(np.clip(picture, 0, 255).astype(np.uint8))
-    found = register_affine(*pictures)
-    assert found is not None
+    found = affine(*pictures)
     corners = np.array([[[0.0, 0.0]], [[399.0, 0.0]], [[0.0, 239.0]], [[399.0, 239.0]]])
     assert np.abs(cv2.perspectiveTransform(corners, found) - corners).max() < 1.5
 
@@ -103,7 +112,7 @@ def test_a_big_moving_object_takes_no_part_in_the_ego_motion() -> None:
     source = with_lorry(GROUND, 60)
     target = with_lorry(warped(GROUND, motion), 71)
     # Only corners at the rim are left.
-    assert largest_error(register_affine(source, target), motion) < 0.2
+    assert largest_error(affine(source, target), motion) < 0.2
 
 
 @pytest.mark.parametrize(
@@ -119,7 +128,7 @@ def test_a_big_moving_object_takes_no_part_in_the_ego_motion() -> None:
 )
 def test_pictures_with_nothing_in_common_have_no_motion(other: ByteImage) -> None:
     for source, target in ((GROUND, other), (other, GROUND)):
-        assert register_affine(source, target) is None
+        assert register(source, target) is None
 
 
 @pytest.mark.parametrize("shape", [(16, 16), (36, 64), (90, 160), (243, 432)], ids=str)
@@ -127,23 +136,87 @@ def test_noise_has_nothing_in_common_with_noise(shape: tuple[int, int]) -> None:
     random = np.random.default_rng(0)
     for _ in range(20):
         source, target = random.integers(0, 256, (2, *shape)).astype(np.uint8)
-        assert register_affine(source, target) is None
+        assert register(source, target) is None
 
 
-def test_with_too_few_corners_the_translation_stands() -> None:
+def noisy(image: ByteImage, seed: int, deviation: float = 1.5) -> ByteImage:
+    noise = np.random.default_rng(seed).normal(0.0, deviation, image.shape)
+    return np.clip(np.rint(image + noise), 0, 255).astype(np.uint8)
+
+
+def sky_with_target(x: int, y: int, seed: int, size: tuple[int, int] = (12, 20)) -> ByteImage:
+    """A plain sky with a sensor's noise, and one textured target before it."""
+    sky = np.full((243, 432), 190, np.uint8)
+    sky[y : y + size[0], x : x + size[1]] = texture(size, seed=4, low=20, high=150)
+    return noisy(sky, seed)
+
+
+@pytest.mark.parametrize("step", [(0, 0), (3, -1), (15, 6)], ids=str)
+def test_one_target_before_a_plain_sky_tells_no_camera_motion(step: tuple[int, int]) -> None:
+    found = register(
+        sky_with_target(200, 120, 1), sky_with_target(200 + step[0], 120 + step[1], 2)
+    )
+    assert found is not None
+    assert found.model is EgoMotionModel.HELD
+    assert not found.is_supported
+    np.testing.assert_array_equal(found.motion, np.eye(3))
+
+
+def test_corners_of_one_plain_block_tell_no_camera_motion() -> None:
     window = np.full(SHAPE, 40, np.uint8)
     window[50:100, 90:150] = 200
-    target = warped(window, shift(4.0, -2.0))
-    found = register_affine(window, target)
+    found = register(window, warped(window, shift(4.0, -2.0)))
     assert found is not None
-    np.testing.assert_array_equal(found, phase_correlation(window, target)[0])
-    np.testing.assert_allclose(found[:2, 2], (4.0, -2.0), atol=0.5)
+    assert found.model is EgoMotionModel.HELD
+
+
+def test_a_line_of_corners_bears_out_a_similarity_at_most() -> None:
+    """A skyline under a plain sky: how the picture is stretched upwards, nobody can tell."""
+    land = np.full((243, 432), 190, np.uint8)
+    land[225:] = texture((18, 432), seed=3, low=20, high=150)
+    found = register(noisy(land, 1), noisy(warped(land, shift(4.0, -2.0)), 2))
+    assert found is not None
+    assert found.model in (EgoMotionModel.SIMILARITY, EgoMotionModel.TRANSLATION)
+    np.testing.assert_allclose(found.motion[:2, :2], np.eye(2), atol=0.02)
+    np.testing.assert_allclose(found.motion @ (216, 234, 1), (220, 232, 1), atol=0.5)
+
+
+def test_noise_does_not_keep_a_scene_from_being_registered() -> None:
+    ground = texture((300, 500), seed=5, low=90, high=170, grain=3.0)
+    source, target = ground[30:273, 30:462], ground[32:275, 27:459]
+    found = register(noisy(source, 1, 8.0), noisy(target, 2, 8.0))
+    assert found is not None
+    assert found.is_supported
+    np.testing.assert_allclose(found.motion @ (216, 121, 1), (219, 119, 1), atol=0.6)
+
+
+def test_what_has_no_vote_does_not_register_the_picture() -> None:
+    """A lorry over two thirds of the view moves, the ground behind it stays."""
+    pictures = []
+    for number, x in enumerate((40, 47)):
+        picture = GROUND.copy()
+        picture[10:134, x : x + 170] = texture((124, 170), seed=6, low=0, high=255, grain=2.0)
+        pictures.append(noisy(picture, number))
+    lorry = np.zeros((36, 60), bool)
+    lorry[2:34, 9:54] = True
+    found = register(pictures[0], pictures[1], lorry)
+    assert found is not None
+    assert largest_error(found.motion, np.eye(3)) < 0.3
+
+
+def test_a_target_that_fills_the_view_tells_no_camera_motion() -> None:
+    target = texture((243, 532), seed=6, low=0, high=255, grain=2.0)
+    everything = np.ones((61, 108), bool)
+    everything[:2] = False
+    found = register(noisy(target[:, 7:439], 1), noisy(target[:, :432], 2), everything)
+    assert found is not None
+    assert found.model is EgoMotionModel.HELD
 
 
 @pytest.mark.parametrize("grey", [0, 1, 128, 255])
 def test_a_plain_picture_lies_anywhere(grey: int) -> None:
     plain = np.full(SHAPE, grey, np.uint8)
-    assert register_affine(plain, plain) is None
+    assert register(plain, plain) is None
 
 
 def test_aligning_undoes_the_motion_where_the_other_frame_sees_it() -> None:
@@ -166,3 +239,12 @@ def test_a_margin_keeps_off_the_other_frames_border() -> None:
     expected = np.zeros((6, 8), bool)
     expected[2:4, 2:6] = True
     np.testing.assert_array_equal(visible((6, 8), np.eye(3), margin=2.0), expected)
+
+
+def test_objects_have_a_vote_unless_they_are_large() -> None:
+    small, large, overlay = (np.zeros((36, 60), bool) for _ in range(3))
+    small[10:14, 10:20], large[5:30, 10:50], overlay[:3] = True, True, True
+    assert without_vote(None, small) is None
+    assert without_vote(overlay, small) is overlay
+    assert without_vote(None, large) is large
+    np.testing.assert_array_equal(without_vote(overlay, large), overlay | large)

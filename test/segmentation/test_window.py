@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import weakref
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,9 +12,11 @@ from hypothesis import strategies as st
 
 from support.drawn_scene import texture
 from turbseg_ros.segmentation.background import unmasked
+from turbseg_ros.segmentation.camera_state import CameraState, CameraTrack
 from turbseg_ros.segmentation.cropped_mask import CroppedMask
 from turbseg_ros.segmentation.observer import StageObserver
 from turbseg_ros.segmentation.preparation import PreparedFrame, prepare
+from turbseg_ros.segmentation.registration import EgoMotionModel
 from turbseg_ros.segmentation.resolution import Resolution
 from turbseg_ros.segmentation.window import FrameWindow
 
@@ -329,3 +332,43 @@ def test_a_prepared_frame_knows_how_the_one_before_lies_to_it() -> None:
     after = prepare(rolled, resolution, 1, before, StageObserver())
     scale = resolution.processing[0] / 160
     np.testing.assert_allclose(after.from_previous[:2, 2], (5 * scale, -2 * scale), atol=0.2)
+
+
+def test_frames_of_another_view_are_not_compared() -> None:
+    """A slew lies between them."""
+    window = window_of(interval=4, memory=12, key_step=1)
+    for index in range(10):
+        view = CameraTrack(view=int(index >= 5))
+        window.append(replace(tiny_frame(index), camera=view))
+    assert window.neighbours(6, [-4, -1, 1, 3]) == [-1, 1, 3]
+    assert window.neighbours(2, [-2, 2, 4]) == [-2, 2]
+    assert window.key_frames(6) == [5, 7, 8, 9]
+
+
+def test_a_neighbourhood_tells_whether_the_cameras_motion_is_known() -> None:
+    window = window_of(interval=1)
+    for index, state in enumerate((CameraState.STILL, CameraState.STILL, CameraState.LOST)):
+        window.append(replace(tiny_frame(index), camera=CameraTrack(state=state)))
+    assert window.neighbourhood(1, [-1, 1]).camera_known
+    assert not window.neighbourhood(2, [-1]).camera_known
+
+
+def test_a_frame_that_has_nothing_to_hold_on_to_goes_on_as_expected() -> None:
+    """Before a plain sky a camera that panned steadily is taken to go on so."""
+    resolution, observer = Resolution.of((96, 160), 160, 160), StageObserver()
+    land = texture((96, 400), seed=3)
+    frame = None
+    for index in range(12):
+        picture = np.ascontiguousarray(land[:, 3 * index : 3 * index + 160])
+        frame = prepare(picture, resolution, index, frame, observer)
+    sky = np.full((96, 160), 190, np.uint8)
+    noisy = [(sky + np.random.default_rng(k).integers(0, 3, sky.shape)) for k in range(2)]
+    assert frame is not None
+    assert frame.camera.state is CameraState.FOLLOWING
+    before = prepare(noisy[0].astype(np.uint8), resolution, 0, None, observer)
+    held = prepare(
+        noisy[1].astype(np.uint8), resolution, 1, replace(before, camera=frame.camera), observer
+    )
+    assert held.camera.model in (EgoMotionModel.HELD, EgoMotionModel.NONE)
+    assert held.camera.state is CameraState.LOST
+    np.testing.assert_allclose(held.from_previous, frame.from_previous, atol=0.1)

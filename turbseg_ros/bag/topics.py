@@ -16,6 +16,7 @@ IGNORED_TOPIC = f"/{TRUTH_NAMESPACE}/ignored"
 # Below it lies what the node publishes, or what it would have.
 NODE_NAME = "turbseg"
 RESULT_NAMESPACE = f"/{NODE_NAME}"
+DIAGNOSTICS_TOPIC = "/diagnostics"
 LABELS_TOPIC = f"{RESULT_NAMESPACE}/labels"
 
 # Images among the node's results, by the first name below the node's own.

@@ -15,7 +15,7 @@ from turbseg_ros.bag.errors import BagError
 from turbseg_ros.bag.frames import BagFrames, ahead
 from turbseg_ros.bag.reader import BagReader
 from turbseg_ros.bag.schema import type_name_of
-from turbseg_ros.bag.topics import RESULT_NAMESPACE
+from turbseg_ros.bag.topics import DIAGNOSTICS_TOPIC, RESULT_NAMESPACE
 from turbseg_ros.bag.writer import BagWriter, serialised
 from turbseg_ros.cli.errors import (
     UsageError,
@@ -32,6 +32,7 @@ from turbseg_ros.exports.film import Film, FilmError
 from turbseg_ros.exports.object_table import SUFFIXES as TABLE_SUFFIXES
 from turbseg_ros.exports.object_table import ObjectTable
 from turbseg_ros.factory import clip_segmenter
+from turbseg_ros.messages.diagnostics import ResultDiagnostics
 from turbseg_ros.messages.results import CentroidMarkers, Output, outputs, slot_output, views
 from turbseg_ros.overlay import OverlayStrip, write_picture
 from turbseg_ros.segmentation.condition import Condition
@@ -56,6 +57,7 @@ class ResultWriter:
         wanted = (view for view in views() if view.name in shown)
         self._outputs = (*outputs(0, CentroidMarkers()), *wanted)
         self._slots: dict[int, Output] = {}
+        self._diagnostics = ResultDiagnostics(RESULT_NAMESPACE)
         self._throttled = ThrottledLogger(_LOGGER)
         self.failed: Counter[str] = Counter()
 
@@ -72,6 +74,11 @@ class ResultWriter:
         recorded_at = max(frame.stamp if frame.received is None else frame.received, 0)
         for output in (*self._outputs, *self._slots.values()):
             self._write(output, result, recorded_at)
+        diagnostics = self._diagnostics.message(result)
+        if diagnostics is not None:
+            type_name = type_name_of(diagnostics)
+            cdr = serialised(diagnostics)
+            self._bag.write_serialized(DIAGNOSTICS_TOPIC, type_name, cdr, recorded_at)
 
     def _write(self, output: Output, result: SegmentationResult, recorded_at: int) -> None:
         try:

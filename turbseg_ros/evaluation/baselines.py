@@ -23,7 +23,7 @@ from turbseg_ros.factory import clip_segmenter
 from turbseg_ros.parameter_file import load_parameters
 from turbseg_ros.parameters import Parameters
 from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResult, Segmenter
-from turbseg_ros.segmentation.registration import align, register_affine, visible
+from turbseg_ros.segmentation.registration import align, register, visible
 from turbseg_ros.segmentation.tone import ToneMap
 
 # The middle of what served the baselines best on the bags that come with the package: without
@@ -186,15 +186,15 @@ class StabilisedDetector:
         Registered directly it doesn't drift; but where an object was followed instead of the
         scene, it is far from that by way of all frames between, which stands then.
         """
-        direct = register_affine(reference, grey)
-        step = register_affine(self._newest, grey)
-        stepwise = self._to_newest if step is None else step @ self._to_newest
-        if direct is None:
+        direct = register(reference, grey)
+        step = register(self._newest, grey)
+        stepwise = self._to_newest if step is None else step.motion @ self._to_newest
+        if direct is None or not direct.is_supported:
             return stepwise
         height, width = grey.shape
         corners = np.array([[0, width, width, 0], [0, 0, height, height], [1, 1, 1, 1]])
-        apart = float(np.abs((direct - stepwise) @ corners).max())
-        return direct if apart < _MAX_DRIFT * width else stepwise
+        apart = float(np.abs((direct.motion - stepwise) @ corners).max())
+        return direct.motion if apart < _MAX_DRIFT * width else stepwise
 
 
 class ComponentSegmenter:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
+from turbseg_ros.messages.diagnostics import figures, remarks, status_name
 from turbseg_ros.parameters import DiagnosticsParameters
 from turbseg_ros.segmentation.condition import Condition
 from turbseg_ros.segmentation.frame import SegmentationResult
@@ -178,7 +179,7 @@ def status_message(name: str, report: Report, state: NodeState) -> DiagnosticSta
     level = max((level for level, _ in findings), default=DiagnosticStatus.OK)
     return DiagnosticStatus(
         level=level,
-        name=f"{name}: segmentation",
+        name=status_name(name),
         message="; ".join(text for _, text in findings) or "segmenting",
         hardware_id=report.last.frame.frame_id if report.last else "",
         values=[KeyValue(key=key, value=value) for key, value in _figures(report, state)],
@@ -221,6 +222,8 @@ def _findings(report: Report, state: NodeState) -> Iterator[tuple[bytes, str]]:
             yield warn, f"{report.events[event]} images {event.value}"
     if report.last and _relative_tilt(report.last) > state.limits.max_turbulence:
         yield warn, f"turbulence of {report.last.tilt:.1f} px: objects may be missed"
+    if report.last:
+        yield from ((ok, remark) for remark in remarks(report.last))
     if state.publishers > 1:
         yield warn, f"{state.publishers} publishers on {state.topic}: their images mix"
     if offset := _foreign_clock(report):
@@ -273,6 +276,4 @@ def _figures(report: Report, state: NodeState) -> Iterator[tuple[str, str]]:
     for event in Event:
         yield f"images {event.value}", str(report.totals[event])
     if report.last:
-        yield "turbulence (px)", f"{report.last.tilt:.2f}"
-        yield "ego-motion model", report.last.ego_motion_model
-        yield "objects", str(len(report.last.objects))
+        yield from figures(report.last)

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from turbseg_ros.arrays import Image, Labels, Map, Mask
+from turbseg_ros.segmentation.camera_state import CameraState
 from turbseg_ros.segmentation.condition import Condition
 from turbseg_ros.segmentation.marked_regions import FittedRegions
 
@@ -118,7 +119,9 @@ class SegmentationResult:
     (counted from 1 again after 65,535). `motion_map` is
     float32 at processing resolution: pixels a frame (of the input image) by which a point breaks
     the camera's own motion. `tilt` is the measured turbulence: rms image motion an axis in input
-    pixels, NaN while unknown. `ego_motion_model` names the model chosen for the camera's motion.
+    pixels, NaN while unknown. `ego_motion_model` names what tells the camera's motion: the model
+    of the motion measure, or that of the frame's registration where it is a poorer one, see
+    `registration.EgoMotionModel`; `camera` is what the camera does.
     `clutter` is float32, a cell for each four by four pixels at processing resolution: by how many
     pixels a frame (of the input image) a place is known to move without anything being there; None
     while nothing is known. `coasted` tells that its objects coasted under load: propagated, not
@@ -137,6 +140,7 @@ class SegmentationResult:
     clutter: Map | None = None
     regions: FittedRegions | None = None
     condition: Condition = Condition.SOUND
+    camera: CameraState = CameraState.STILL
 
     @classmethod
     def empty(cls, frame: Frame, motion_shape: tuple[int, int] = (0, 0)) -> SegmentationResult:

@@ -132,6 +132,42 @@ class SampsonMotion:
         return [sampson_motion(flows, valid, interval_sets(self.widest))]
 
 
+@dataclass(frozen=True)
+class MotionAgainstPicture:
+    """M where nothing tells the camera's motion: flow as it is, where there is anything to follow.
+
+    Before a plain sky flow smears a target's motion over half the picture, where a fit would find
+    a camera's motion, and noise.
+
+    :param textured: HxW, where flow has something to hold on to.
+    """
+
+    average: Average
+    textured: Mask
+
+    def intervals(self, interval: int) -> list[int]:
+        """Return those of the average."""
+        return self.average.intervals(interval)
+
+    def motions(
+        self, flows: Mapping[int, Flow], valid: Mapping[int, Map], interval: int
+    ) -> list[MotionEstimate]:
+        """Measure over each baseline of the average; see `MotionMeasure`."""
+        followed = {k: flow * self.textured[..., None] for k, flow in flows.items()}
+        return _estimates(followed, followed, valid, self.average, interval, "none")
+
+
+def measure_for(measure: MotionMeasure, textured: Mask | None) -> MotionMeasure:
+    """Return what measures motion in a frame: the one chosen, if the camera's motion is known.
+
+    :param textured: HxW, where flow has something to hold on to; None where the camera's motion
+        is known.
+    """
+    if textured is None or type(measure) is not AffineMotion:
+        return measure
+    return MotionAgainstPicture(measure.average, textured)
+
+
 def _estimates(
     flows: Mapping[int, Flow],
     residuals: Mapping[int, Flow],

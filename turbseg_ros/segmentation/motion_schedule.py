@@ -6,7 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from turbseg_ros.arrays import Mask
-from turbseg_ros.parameters import FlowParameters
+from turbseg_ros.parameters import FlowParameters, Parameters
+from turbseg_ros.segmentation.average import LONG_BASELINE
 from turbseg_ros.segmentation.cropped_mask import CroppedMask
 from turbseg_ros.segmentation.motion import MotionMeasure, next_interval
 from turbseg_ros.segmentation.motion_worker import MotionJob, MotionWorker
@@ -127,3 +128,20 @@ class MotionSchedule:
                 self._objects_in(index),
             )
         )
+
+
+def frame_window(parameters: Parameters, measure: MotionMeasure) -> FrameWindow:
+    """Return an empty window that will hold the frames that a schedule asks for."""
+    flow, outline = parameters.flow, parameters.outline
+    return FrameWindow(
+        # The frame in which motion was measured last is looked back to, too.
+        reach=max(
+            LONG_BASELINE * flow.interval,
+            SPARSE * flow.every,
+            *(-k for k in measure.intervals(flow.interval)),
+        ),
+        look_ahead=parameters.segmentation_look_ahead,
+        warm_up=0 if parameters.is_causal else parameters.latency.warm_up,
+        memory=outline.memory,
+        key_step=outline.key_step,
+    )

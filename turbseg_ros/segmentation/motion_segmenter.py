@@ -10,6 +10,7 @@ from types import TracebackType
 from typing import TypeVar
 
 from turbseg_ros.parameters import Parameters
+from turbseg_ros.segmentation.camera_state import CameraTrack
 from turbseg_ros.segmentation.condition import Condition
 from turbseg_ros.segmentation.frame import Frame, SegmentationResult
 from turbseg_ros.segmentation.load import Load
@@ -109,7 +110,7 @@ class MotionSegmenter:
 
     def empty_result(self, frame: Frame) -> SegmentationResult:
         """Return the result of a frame in which nothing was found, as this segmenter gives it."""
-        return PendingResult(frame, self._resolution_of(frame)).result()
+        return PendingResult(frame, self._resolution_of(frame), CameraTrack()).result()
 
     def push(self, frame: Frame, waiting: int = 0) -> list[SegmentationResult]:
         """Take the next frame; return the results that are ready, of earlier frames mostly.
@@ -216,7 +217,7 @@ class _Stream:
     def prepare(self, frame: Frame) -> None:
         """Have the next frame prepared in the background."""
         window = self._pipeline.window
-        self._preparer.start(frame, window.count, window.newest, self._pipeline.overlay)
+        self._preparer.start(frame, window.count, window.newest, self._pipeline.voteless())
 
     def take_in(self) -> list[ReadyFrame]:
         """Take the prepared frame; return those whose conditions are settled by it."""

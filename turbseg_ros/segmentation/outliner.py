@@ -13,6 +13,7 @@ import numpy.typing as npt
 from turbseg_ros.arrays import Mask, Matrix
 from turbseg_ros.segmentation.areas import MovingArea
 from turbseg_ros.segmentation.background import AlignedFrame, MaskedImage, with_objects_masked
+from turbseg_ros.segmentation.camera_state import CameraState
 from turbseg_ros.segmentation.clutter import CELL, enlarged
 from turbseg_ros.segmentation.cropped_mask import EMPTY_MASK, CroppedMask, union_mask
 from turbseg_ros.segmentation.exposure import (
@@ -39,6 +40,8 @@ _MIN_OUTLINE = 12
 _BORDER = 8
 # Share of an outline that must be scene, not burnt into the picture.
 _MIN_SCENE = 0.5
+# Share of an outline that must lie where known objects should be, to count as theirs.
+_KNOWN = 0.5
 # A known object counts as resting when motion was found on less than this share of it.
 _RESTING = 0.6
 
@@ -156,6 +159,8 @@ class Outliner:
         with self._observer.stage("outlines"):
             outlines = self._method.outlines(moving, crops, self._resolution)
             outlines = _in_scene(outlines, overlays)
+            if self._window[index].camera.state is CameraState.SLEWING:
+                outlines = _of_known(outlines, union_mask(expected, shape))
         seen_to_move = moving_mask if moving.measured else np.zeros_like(moving_mask)
         return [
             _detection(outline, seen_to_move, moving.motion, self._resolution)
@@ -235,6 +240,11 @@ def _in_scene(
         for seen, outline in zip(left, outlines, strict=True)
         if seen.area > _MIN_SCENE * outline.area
     ]
+
+
+def _of_known(outlines: Sequence[CroppedMask], expected: Mask) -> list[CroppedMask]:
+    """Return the outlines that lie mostly where known objects should be."""
+    return [seen for seen in outlines if seen.intersection_area(expected) > _KNOWN * seen.area]
 
 
 def _resting_areas(expected: Sequence[CroppedMask], moving: Mask) -> list[MovingArea]:

@@ -13,12 +13,13 @@ import cv2
 import numpy as np
 
 from turbseg_ros.arrays import Matrix
+from turbseg_ros.segmentation.camera_state import CameraTrack
 from turbseg_ros.segmentation.condition import Condition
 from turbseg_ros.segmentation.damage import Usual
 from turbseg_ros.segmentation.frame import Frame
 from turbseg_ros.segmentation.pending_result import PendingResult
 from turbseg_ros.segmentation.preparation import PreparedFrame
-from turbseg_ros.segmentation.registration import register_affine
+from turbseg_ros.segmentation.registration import register
 from turbseg_ros.segmentation.track import Observation, Tracker
 
 PATIENCE = 8
@@ -114,8 +115,8 @@ class DoubtfulFrames:
 
     def _hold(self, ready: ReadyFrame) -> None:
         before = self._held[-1].ready.prepared.grey if self._held else None
-        way = None if before is None else register_affine(before, ready.prepared.grey)
-        self._held.append(_Held(ready, way))
+        found = None if before is None else register(before, ready.prepared.grey)
+        self._held.append(_Held(ready, None if found is None else found.motion))
         if self._causal:
             # They are answered already.
             del self._held[: -PATIENCE - 1]
@@ -161,6 +162,7 @@ def _as_beginning(scene: Sequence[_Held]) -> list[ReadyFrame]:
             continues=way is not None,
             condition=Condition.CUT if is_first else Condition.SOUND,
             usual=None if is_first else Usual(),
+            camera=CameraTrack(),
         )
         found.append(replace(held.ready, prepared=prepared))
     return found
@@ -198,10 +200,11 @@ def passed_over(
     """
     frame, condition, resolution = ready.frame, ready.condition, last.resolution
     shape = resolution.detail_shape
+    camera = last.camera.lost() if condition is Condition.BLIND else last.camera
     if condition is Condition.BLIND and in_a_row > PATIENCE:
         nothing = np.broadcast_to(np.zeros((), np.uint8), (*shape, 1))
         tracker.update([], np.eye(3), 0.0, nothing)
-        return PendingResult(frame, resolution, regions=last.regions, condition=condition)
+        return PendingResult(frame, resolution, camera, regions=last.regions, condition=condition)
     # Tracks stay in the sound frame's pixels, to which the next one is registered.
     known = tracker.coast(np.eye(3), shape)
     if condition is Condition.REPEATED:
@@ -211,7 +214,7 @@ def passed_over(
         way = resolution.to_detail(ready.from_previous)
         shown = [_moved(observation, way, shape) for observation in known]
     return PendingResult(
-        frame, resolution, observations=shown, regions=last.regions, condition=condition
+        frame, resolution, camera, observations=shown, regions=last.regions, condition=condition
     )
 
 

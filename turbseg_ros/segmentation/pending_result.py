@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from turbseg_ros.arrays import Labels
+from turbseg_ros.segmentation.camera_state import CameraTrack
 from turbseg_ros.segmentation.condition import Condition
 from turbseg_ros.segmentation.cropped_mask import CroppedMask
 from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResult, label_of
@@ -23,12 +24,13 @@ from turbseg_ros.segmentation.track import Detection, Observation
 class PendingResult:
     """A segmented frame that waits until it is known which of its tracks are objects.
 
-    `motion` is None where there was nothing to compare the frame with, `regions` where none are
-    known to be marked.
+    `camera` is what is known of its motion up to the frame; `motion` is None where there was
+    nothing to compare the frame with, `regions` where none are known to be marked.
     """
 
     frame: Frame
     resolution: Resolution
+    camera: CameraTrack
     motion: MotionEstimate | None = None
     observations: Sequence[Observation] = ()
     coasted: bool = False
@@ -49,6 +51,7 @@ class PendingResult:
                 coasted=self.coasted,
                 regions=self.regions,
                 condition=self.condition,
+                camera=self.camera.state,
             )
         scale, clutter = width / self.resolution.processing[0], self.motion.clutter
         return SegmentationResult(
@@ -57,11 +60,12 @@ class PendingResult:
             objects=objects,
             motion_map=self.motion.motion_map * np.float32(scale),
             tilt=self.motion.tilt * scale,
-            ego_motion_model=self.motion.ego_motion_model,
+            ego_motion_model=self.camera.model_beside(self.motion.ego_motion_model),
             coasted=self.coasted,
             clutter=None if clutter is None else clutter * np.float32(scale),
             regions=self.regions,
             condition=self.condition,
+            camera=self.camera.state,
         )
 
     def _draw_objects(self, labels: Labels) -> tuple[MovingObject, ...]:

@@ -17,28 +17,26 @@ import functools
 from concurrent.futures import Executor
 from dataclasses import replace
 
-import numpy as np
-
-from turbseg_ros.arrays import Mask, Matrix
+from turbseg_ros.arrays import Mask
 from turbseg_ros.parameters import Parameters
-from turbseg_ros.segmentation.average import LONG_BASELINE, SHORT_BASELINE
+from turbseg_ros.segmentation.average import SHORT_BASELINE
 from turbseg_ros.segmentation.clutter import cells_of_objects, with_clutter
 from turbseg_ros.segmentation.cropped_mask import CroppedMask, union_mask
 from turbseg_ros.segmentation.evidence import PictureEvidence
 from turbseg_ros.segmentation.frame import Frame
 from turbseg_ros.segmentation.load import Load
-from turbseg_ros.segmentation.motion import MotionEstimate
-from turbseg_ros.segmentation.motion_schedule import SPARSE, MotionSchedule
+from turbseg_ros.segmentation.motion import MotionEstimate, measure_for
+from turbseg_ros.segmentation.motion_schedule import MotionSchedule, frame_window
 from turbseg_ros.segmentation.motion_worker import MotionJob, MotionWorker
 from turbseg_ros.segmentation.moving import Moving, what_moves
 from turbseg_ros.segmentation.observer import StageObserver
 from turbseg_ros.segmentation.outliner import GUARD, Outliner, overlay_masks
 from turbseg_ros.segmentation.pending_result import PendingResult
 from turbseg_ros.segmentation.region_growing import Region, grow_regions, seed_strength
+from turbseg_ros.segmentation.registration import without_vote
 from turbseg_ros.segmentation.resolution import Resolution
 from turbseg_ros.segmentation.scene_memory import SceneMemory
 from turbseg_ros.segmentation.strategies import Strategies
-from turbseg_ros.segmentation.window import FrameWindow
 
 # Smallest region, in pixels at processing resolution.
 _MIN_REGION = 12
@@ -59,9 +57,9 @@ class Pipeline:
         observer: StageObserver,
     ) -> None:
         self.resolution = resolution
-        self.window = _frame_window(parameters, strategies)
+        self.window = frame_window(parameters, strategies.measure)
         # Which cells of the picture stand still while the scene moves, hxw; None while unknown.
-        self.overlay: Mask | None = None
+        self._overlay: Mask | None = None
         self._parameters = parameters
         self._strategies = strategies
         self._observer = observer
@@ -85,15 +83,16 @@ class Pipeline:
     def segment_frame(self, index: int, frame: Frame, load: Load) -> PendingResult:
         """Segment the next frame of the window."""
         resolution, tracker = self.resolution, self._strategies.tracker
-        ego_motion = self._ego_motion(index)
+        camera = self.window[index].camera
+        ego_motion = resolution.to_detail(self.window[index].from_previous)
 
         # What moves here, measured (see `measure_motion`) or propagated: eq. 1 to 3.
         moving = self._schedule.what_moves(index, load.measures_seldom)
         if moving is None:
             tracker.update([], ego_motion, 0.0, self.window[index].detail)
             self._tracked = index
-            return PendingResult(frame, resolution, regions=self._regions)
-        self.overlay = moving.overlay
+            return PendingResult(frame, resolution, camera, regions=self._regions)
+        self._overlay = moving.overlay
         self._observer.motion(frame.stamp, moving)
         shape = resolution.detail_shape
         overlays = overlay_masks(moving, shape)
@@ -122,7 +121,7 @@ class Pipeline:
         self.window.mark_objects(index, [*masks, *overlays])
         self._schedule.keep_where(union_mask(masks, shape))
         return PendingResult(
-            frame, resolution, moving.motion, observations, coasted, self._regions
+            frame, resolution, camera, moving.motion, observations, coasted, self._regions
         )
 
     def measure_motion(self, job: MotionJob) -> Moving | None:
@@ -138,7 +137,12 @@ class Pipeline:
         with self._observer.stage("motion map"):
             overlay = self._scene.overlay(neighbourhood, aligned)
             valid = neighbourhood.valid(overlay)
-            motions = self._strategies.measure.motions(flows, valid, job.interval)
+            known = neighbourhood.camera_known
+            seen = (
+                None if known else PictureEvidence(neighbourhood.grey, aligned, flows).textured()
+            )
+            measure = measure_for(self._strategies.measure, seen)
+            motions = measure.motions(flows, valid, job.interval)
         # Seeds that the pictures bear out, and the regions that grow from them (eq. 3).
         with self._observer.stage("region growing"):
             near = {k: aligned[k] for k in aligned if abs(k) <= SHORT_BASELINE * job.interval}
@@ -150,6 +154,14 @@ class Pipeline:
             grow = functools.partial(self._grow, evidence, objects)
             moving = what_moves(motions, grow, self.resolution.detail)
         return replace(moving, overlay=overlay)
+
+    def voteless(self) -> Mask | None:
+        """Return which cells of the newest frame have no vote in its registration, hxw."""
+        objects = self._travelled_objects(self.window.count - 1)
+        shape = self.resolution.processing_shape
+        return without_vote(
+            self._overlay, cells_of_objects(objects, self.resolution.detail, shape)
+        )
 
     def cancel(self) -> None:
         """Give up what is measured ahead."""
@@ -176,25 +188,3 @@ class Pipeline:
         return grow_regions(
             motion, strength, seed.size, growing.delta, similarity, _MIN_REGION, taken
         )
-
-    def _ego_motion(self, index: int) -> Matrix:
-        """Return the transform of detail pixels from the frame before to this one."""
-        if index == 0:
-            return np.eye(3)
-        return self.resolution.to_detail(self.window[index].from_previous)
-
-
-def _frame_window(parameters: Parameters, strategies: Strategies) -> FrameWindow:
-    flow, outline = parameters.flow, parameters.outline
-    return FrameWindow(
-        # The frame in which motion was measured last is looked back to, too.
-        reach=max(
-            LONG_BASELINE * flow.interval,
-            SPARSE * flow.every,
-            *(-k for k in strategies.measure.intervals(flow.interval)),
-        ),
-        look_ahead=parameters.segmentation_look_ahead,
-        warm_up=0 if parameters.is_causal else parameters.latency.warm_up,
-        memory=outline.memory,
-        key_step=outline.key_step,
-    )

@@ -5,18 +5,19 @@ from __future__ import annotations
 import copy
 import functools
 from concurrent.futures import Executor, Future
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
 
 from turbseg_ros.arrays import ByteImage, Mask, Matrix
 from turbseg_ros.segmentation.background import MaskedImage, unmasked
+from turbseg_ros.segmentation.camera_state import CameraTrack
 from turbseg_ros.segmentation.condition import Condition
 from turbseg_ros.segmentation.damage import Usual, judged
 from turbseg_ros.segmentation.frame import Frame
 from turbseg_ros.segmentation.observer import StageObserver
-from turbseg_ros.segmentation.registration import register_affine
+from turbseg_ros.segmentation.registration import register
 from turbseg_ros.segmentation.resolution import Resolution
 from turbseg_ros.segmentation.tone import ToneMap
 
@@ -29,7 +30,8 @@ class PreparedFrame:
     objects hidden once `objects_known`;
     `from_previous` takes the pixels (of `grey`) of the frame before in the window to this one's;
     `continues` tells whether the two have anything in common, `condition` whether all of it shows
-    what that one showed, and `usual` what is so from frame to frame, None for a scene's first.
+    what that one showed, and `usual` what is so from frame to frame, None for a scene's first;
+    `camera` is what is known of the camera's motion by then.
     """
 
     index: int
@@ -40,6 +42,7 @@ class PreparedFrame:
     objects_known: bool = False
     condition: Condition = Condition.SOUND
     usual: Usual | None = None
+    camera: CameraTrack = field(default_factory=CameraTrack)
 
     @functools.cached_property
     def to_previous(self) -> Matrix:
@@ -58,12 +61,12 @@ def prepare(
     index: int,
     previous: PreparedFrame | None,
     observer: StageObserver,
-    overlay: Mask | None = None,
+    voteless: Mask | None = None,
 ) -> PreparedFrame:
     """Scale an 8-bit picture, HxW or HxWx3, register it to the frame before, and judge it by that.
 
     :param previous: the last frame that joined the window.
-    :param overlay: cells that are no scene and have no say in it, hxw.
+    :param voteless: cells of that frame that are no scene and have no say in it, hxw.
     """
     with observer.stage("scaling"):
         detail = _shrunk(picture, resolution.detail)
@@ -71,19 +74,24 @@ def prepare(
         grey = _resized(grey, resolution.processing)
         scene = unmasked(detail)
     with observer.stage("registration"):
-        motion = None if previous is None else register_affine(previous.grey, grey, overlay)
+        found = None if previous is None else register(previous.grey, grey, voteless)
+        before = CameraTrack() if previous is None else previous.camera
+        camera = before if previous is None else before.after(found, resolution.processing)
+        held = found is None or not found.is_supported
+        from_previous = before.expected if held or found is None else found.motion
         condition, usual = Condition.SOUND, None
         if previous is not None:
+            motion = None if found is None else from_previous
             condition, usual = judged(grey, previous.grey, motion, previous.usual)
-    from_previous = np.eye(3) if motion is None else motion
     return PreparedFrame(
         index=index,
         grey=grey,
         scene=scene,
         from_previous=from_previous,
-        continues=motion is not None,
+        continues=found is not None,
         condition=condition,
         usual=usual,
+        camera=camera,
     )
 
 
@@ -105,18 +113,18 @@ class FramePreparer:
         frame: Frame,
         index: int,
         previous: PreparedFrame | None,
-        overlay: Mask | None = None,
+        voteless: Mask | None = None,
     ) -> None:
         """Begin with a frame, whose image is read until `finish`.
 
         :param index: its number in the stream.
         :param previous: the frame that it is registered to.
-        :param overlay: cells that have no say in that, hxw.
+        :param voteless: its cells that have no say in that, hxw.
         """
         self._tone_before = copy.copy(self._tone)
         picture = self._tone(frame.image)
         preparation = self._executor.submit(
-            prepare, picture, self._resolution, index, previous, self._observer, overlay
+            prepare, picture, self._resolution, index, previous, self._observer, voteless
         )
         self._under_way = (frame, preparation)
 

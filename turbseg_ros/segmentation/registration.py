@@ -1,4 +1,7 @@
-"""Ego-motion between frames: translation first, then an affine transform.
+"""Ego-motion between frames: as much of an affine transform as the pictures bear out.
+
+A plain sky, fog or a target that fills the view leave nothing to tell the camera's motion by. Then
+a registration is held, and says so.
 
 All transforms are 3x3 matrices of float64 that take homogeneous pixel coordinates (x, y, 1) of one
 frame to those of another.
@@ -6,7 +9,10 @@ frame to those of another.
 
 from __future__ import annotations
 
+import enum
 import functools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -34,6 +40,51 @@ _CHANCE_PEAK, _MIN_CORRELATION = 30.0, 0.4
 _MIN_OVERLAP = 0.25
 # A telephoto view neither turns over nor zooms by a tenth within one frame.
 _MAX_CHANGE_OF_SHAPE = 0.1
+# What a model must have to be believed: the largest standard error, in pixels, with which it says
+# where the picture's corners go, the cells of a grid in which corners agree on it, and how far
+# those lie apart, rms in widths.
+_MAX_ERROR, _MIN_CELLS, _MIN_SPREAD = 0.4, 6, 0.15
+# Share of the corners that agree by no chance: of those in mere noise, which are found about where
+# they are looked for, it is 0.15 to 0.29. Where fewer agree, those count that look as they did:
+# that differ by less than this share of their contrast; noise differs by 0.6 of it.
+_MIN_AGREEING, _LOOKS_ALIKE = 0.35, 0.45
+# Least deviation of a followed corner, in pixels, and what its place is uncertain by, squared.
+_LEAST_DEVIATION, _BLUR = 0.1, 1.0
+# Cells of that grid, rows and columns. Without corners that agree, a translation is believed where
+# it makes the difference of the pictures by so much smaller in so many of them, and larger in few.
+_GRID, _BETTER, _MIN_BETTER = (6, 8), 0.8, 12
+# Share of the picture from which on objects have no vote, and what has none is hidden from the
+# phase correlation, too: a few corners on smaller ones are outvoted anyway.
+_MUCH = 0.1
+
+
+class EgoMotionModel(enum.Enum):
+    """What the camera's motion was told by; the values are what is published."""
+
+    NONE = "none"
+    """Nothing: there was nothing to compare a frame with."""
+    AFFINE = "affine"
+    SIMILARITY = "similarity"
+    """Turn, zoom and translation, where corners bear out no more."""
+    TRANSLATION = "translation"
+    HELD = "held"
+    """Nothing to hold on to in the pictures: what was known before is taken to go on."""
+
+
+@dataclass(frozen=True)
+class Registration:
+    """What takes a frame's pixels to another's, and what that was told by.
+
+    `motion` is the identity where the `model` is held.
+    """
+
+    motion: Matrix
+    model: EgoMotionModel
+
+    @property
+    def is_supported(self) -> bool:
+        """Whether the pictures tell the motion."""
+        return self.model is not EgoMotionModel.HELD
 
 
 def phase_correlation(source: ByteImage, target: ByteImage) -> tuple[Matrix, float]:
@@ -59,59 +110,89 @@ def _hanning_window(size: tuple[int, int]) -> npt.NDArray[np.float32]:
     return cv2.createHanningWindow(size, cv2.CV_32F)
 
 
-def register_affine(
-    source: ByteImage, target: ByteImage, overlay: Mask | None = None
-) -> Matrix | None:
-    """Return the affine transform that takes `source` to `target`.
+def register(
+    source: ByteImage, target: ByteImage, voteless: Mask | None = None
+) -> Registration | None:
+    """Return how the camera's motion takes `source` to `target`, as far as they tell.
 
     Corners are followed by pyramidal Lucas-Kanade from where the translation puts them, and an
-    affine transform is fitted by RANSAC, so that moving objects do not take part. Where the
-    picture carries too few corners, or they agree on nothing a camera could do, the translation
-    stands. None when the pictures have nothing in common: a cut, a covered lens, a torn frame.
+    affine transform is fitted by RANSAC, so that moving objects do not take part. Where corners
+    are too few, or too close together, to bear it out, a similarity stands, or a translation, and
+    at last the motion is held. None when the pictures have nothing in common: a cut, a covered
+    lens, a torn frame.
 
-    :param overlay: hxw, coarser: what is no scene, and whose corners aren't followed.
+    :param voteless: hxw, coarser: what of `source` is no scene, such as objects and what is burnt
+        in. Its corners aren't followed.
     """
     # Half of the resolution tells as well what to follow, and about where it has gone.
     size = (source.shape[1] // 2, source.shape[0] // 2)
     halves = [cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in (source, target)]
-    coarse, peak = phase_correlation(*halves)
+    scene = _scene(voteless, (size[1], size[0]))
+    coarse, peak = phase_correlation(*_without(halves, scene))
     shift = 2.0 * coarse[:2, 2]
     # Lucas-Kanade takes a change of exposure for motion.
     source = exposure_between(source, target, translation(*-shift)).applied_to(source, channels=1)
-    affine = _affine_of_corners(source, target, _corners(halves[0], overlay), shift)
-    if affine is None or np.abs(affine[:, :2] - np.eye(2)).max() > _MAX_CHANGE_OF_SHAPE:
-        found, _ = phase_correlation(source, target)
-    else:
-        found = np.vstack([affine, [0.0, 0.0, 1.0]])
+    corners = _corners(halves[0], scene)
+    found = _by_corners(source, target, corners, shift) or _by_shift(source, target, shift, scene)
     by_chance = peak * np.sqrt(halves[0].size) < _CHANCE_PEAK
-    if by_chance and _correlation(source, target, found) < _MIN_CORRELATION:
+    if by_chance and _correlation(source, target, found.motion) < _MIN_CORRELATION:
         return None
     return found
 
 
-def _corners(half: ByteImage, overlay: Mask | None) -> Points:
-    """Find corners in a picture of half the size; return them in pixels of the whole, Nx1x2."""
-    scene = None
-    if overlay is not None and overlay.any():
-        free = cv2.dilate(overlay.view(np.uint8), np.ones((3, 3), np.uint8)) == 0
-        scene = cv2.resize(free.view(np.uint8), half.shape[::-1], interpolation=cv2.INTER_NEAREST)
+def without_vote(overlay: Mask | None, objects: Mask) -> Mask | None:
+    """Return which cells have no vote in a registration, hxw: no scene, and large objects.
+
+    :param overlay: cells that are burnt into the picture, hxw; None while unknown.
+    :param objects: cells that hold known objects, hxw.
+    """
+    if objects.mean() < _MUCH:
+        return overlay
+    return objects if overlay is None else objects | overlay
+
+
+def _scene(voteless: Mask | None, shape: tuple[int, int]) -> ByteImage | None:
+    """Return where a picture of some shape is scene, HxW, 1 or 0; None if all of it is."""
+    if voteless is None or not voteless.any():
+        return None
+    free = cv2.dilate(voteless.view(np.uint8), np.ones((3, 3), np.uint8)) == 0
+    scene: ByteImage = cv2.resize(
+        free.view(np.uint8), shape[::-1], interpolation=cv2.INTER_NEAREST
+    )
+    return scene
+
+
+def _without(images: Sequence[ByteImage], scene: ByteImage | None) -> Sequence[ByteImage]:
+    """Return pictures whose large parts that are no scene fade into grey."""
+    if scene is None or cv2.countNonZero(scene) > (1.0 - _MUCH) * scene.size:
+        return images
+    weight = cv2.blur(scene.astype(np.float32), (9, 9))
+    faded = []
+    for image in images:
+        mean = np.float32(cv2.mean(image, mask=scene)[0])
+        faded.append(np.rint(mean + (image - mean) * weight).astype(np.uint8))
+    return faded
+
+
+def _corners(half: ByteImage, scene: ByteImage | None) -> Points:
+    """Find corners in a picture of half the size; return them in pixels of the whole, Nx2."""
     corners = cv2.goodFeaturesToTrack(half, _CORNERS, _MIN_QUALITY, _CORNER_DISTANCE, mask=scene)
     if corners is None:
-        return np.zeros((0, 1, 2), np.float32)
+        return np.zeros((0, 2), np.float32)
     # The middles of both pictures' first pixels lie apart.
-    return 2.0 * corners.reshape(-1, 1, 2).astype(np.float32) + np.float32(0.5)
+    return 2.0 * corners.reshape(-1, 2).astype(np.float32) + np.float32(0.5)
 
 
-def _affine_of_corners(
+def _by_corners(
     source: ByteImage, target: ByteImage, corners: Points, shift: npt.NDArray[np.float64]
-) -> Matrix | None:
-    """Return the 2x3 transform that most corners agree on; None when they are too few.
+) -> Registration | None:
+    """Return the richest model that corners bear out; None where they bear out none.
 
     :param shift: about how far `source` has moved to become `target`, (x, y).
     """
     if len(corners) < _MIN_CORNERS:
         return None
-    followed, found, _ = cv2.calcOpticalFlowPyrLK(
+    there, found, difference = cv2.calcOpticalFlowPyrLK(
         source,
         target,
         corners,
@@ -123,13 +204,126 @@ def _affine_of_corners(
     kept = found.ravel() == 1
     if np.count_nonzero(kept) < _MIN_CORNERS:
         return None
-    affine, _ = cv2.estimateAffine2D(
-        np.ascontiguousarray(corners[kept]),
-        np.ascontiguousarray(followed[kept]),
-        method=cv2.RANSAC,
-        ransacReprojThreshold=_RANSAC_REPROJECTION_PIXELS,
+    corners, there = np.ascontiguousarray(corners[kept]), np.ascontiguousarray(there[kept])
+
+    @functools.cache
+    def alike() -> Mask:
+        is_alike: Mask = difference.ravel()[kept] < _LOOKS_ALIKE * _contrast(source, corners)
+        return is_alike
+
+    size = (source.shape[1], source.shape[0])
+    for model, fit in _FITS.items():
+        motion = fit(corners, there)
+        if motion is not None and _is_borne_out(model, motion, corners, there, alike, size):
+            return Registration(np.vstack([motion, [0.0, 0.0, 1.0]]), model)
+    return None
+
+
+def _contrast(image: ByteImage, points: Points) -> npt.NDArray[np.uint8]:
+    """Return the mean difference from the mean around each of some points, N."""
+    differences = cv2.absdiff(image, cv2.blur(image, _LK_WINDOW))
+    columns, rows = points.astype(int).T
+    found: npt.NDArray[np.uint8] = cv2.blur(differences, _LK_WINDOW)[rows, columns]
+    return found
+
+
+def _fit_affine(corners: Points, there: Points) -> Matrix | None:
+    found, _ = cv2.estimateAffine2D(
+        corners, there, method=cv2.RANSAC, ransacReprojThreshold=_RANSAC_REPROJECTION_PIXELS
     )
-    return None if affine is None else np.asarray(affine)
+    return None if found is None else np.asarray(found)
+
+
+def _fit_similarity(corners: Points, there: Points) -> Matrix | None:
+    found, _ = cv2.estimateAffinePartial2D(
+        corners, there, method=cv2.RANSAC, ransacReprojThreshold=_RANSAC_REPROJECTION_PIXELS
+    )
+    return None if found is None else np.asarray(found)
+
+
+def _fit_translation(corners: Points, there: Points) -> Matrix | None:
+    return translation(*np.median(there - corners, axis=0).astype(float))[:2]
+
+
+_FITS = {
+    EgoMotionModel.AFFINE: _fit_affine,
+    EgoMotionModel.SIMILARITY: _fit_similarity,
+    EgoMotionModel.TRANSLATION: _fit_translation,
+}
+
+
+def _is_borne_out(
+    model: EgoMotionModel,
+    motion: Matrix,
+    corners: Points,
+    there: Points,
+    alike: Callable[[], Mask],
+    size: tuple[int, int],
+) -> bool:
+    """Whether enough corners, from enough of the picture, agree on a motion, 2x3.
+
+    Those of one small target don't, however many they are.
+
+    :param alike: tells which corners look where they are found as they did, N.
+    """
+    if np.abs(motion[:, :2] - np.eye(2)).max() > _MAX_CHANGE_OF_SHAPE:
+        return False
+    error = corners @ motion[:, :2].T + motion[:, 2] - there
+    squared = np.square(error).sum(axis=1)
+    agree = squared < _RANSAC_REPROJECTION_PIXELS**2
+    if np.count_nonzero(agree) < _MIN_AGREEING * len(corners):
+        agree &= alike()
+    count = int(np.count_nonzero(agree))
+    if count < _MIN_CORNERS:
+        return False
+    points = corners[agree].astype(np.float64)
+    rows, columns = _GRID
+    cells = (points * (columns / size[0], rows / size[1])).astype(int) @ (1, columns)
+    deviations = points - points.mean(axis=0)
+    spread = deviations.T @ deviations / count
+    if len(set(cells.tolist())) < _MIN_CELLS or np.trace(spread) < (_MIN_SPREAD * size[0]) ** 2:
+        return False
+    # The variance of where each corner of the picture goes, by linear regression.
+    reach = np.array([(x, y) for x in (0, size[0]) for y in (0, size[1])]) - points.mean(axis=0)
+    if model is EgoMotionModel.AFFINE:
+        leverage = (reach @ np.linalg.inv(spread + _BLUR * np.eye(2)) * reach).sum(axis=1).max()
+    elif model is EgoMotionModel.SIMILARITY:
+        leverage = np.square(reach).sum(axis=1).max() / np.trace(spread)
+    else:
+        leverage = 0.0
+    variance = max(float(squared[agree].mean()) / 2.0, _LEAST_DEVIATION**2)
+    return bool(variance * (1.0 + leverage) / count < _MAX_ERROR**2)
+
+
+def _by_shift(
+    source: ByteImage,
+    target: ByteImage,
+    shift: npt.NDArray[np.float64],
+    scene: ByteImage | None,
+) -> Registration:
+    """Return the translation, where much of the scene fits better by it; else hold.
+
+    :param shift: about how far `source` has moved to become `target`, (x, y).
+    :param scene: what may vote, in a picture of half the size.
+    """
+    motion = translation(*shift)
+    # By whole pixels: what lies between is an average, which carries less noise.
+    whole = translation(*np.rint(shift))
+    rows, columns = _GRID
+    as_it_is, moved = (
+        cv2.resize(
+            cv2.absdiff(source, other).astype(np.float32),
+            (columns, rows),
+            interpolation=cv2.INTER_AREA,
+        )
+        for other in (target, align(target, whole))
+    )
+    better, worse = moved < _BETTER * as_it_is, as_it_is < _BETTER * moved
+    if scene is not None:
+        better &= cv2.resize(scene, (columns, rows), interpolation=cv2.INTER_AREA) > 0
+    if np.count_nonzero(better) < _MIN_BETTER + 2 * np.count_nonzero(worse):
+        return Registration(np.eye(3), EgoMotionModel.HELD)
+    return Registration(motion, EgoMotionModel.TRANSLATION)
 
 
 def _correlation(source: ByteImage, target: ByteImage, transform: Matrix) -> float:

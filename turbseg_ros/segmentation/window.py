@@ -11,6 +11,7 @@ import numpy as np
 
 from turbseg_ros.arrays import ByteImage, Map, Mask, Matrix
 from turbseg_ros.segmentation.background import with_objects_masked
+from turbseg_ros.segmentation.camera_state import CameraState
 from turbseg_ros.segmentation.clutter import enlarged
 from turbseg_ros.segmentation.cropped_mask import CroppedMask
 from turbseg_ros.segmentation.exposure import exposure_between
@@ -28,12 +29,13 @@ class Neighbourhood:
     """A frame and what it is compared with, at processing resolution.
 
     `neighbours` holds, by interval, the grey images of others as they came; `transforms` take the
-    frame's pixels to theirs.
+    frame's pixels to theirs, which is a guess unless `camera_known`.
     """
 
     grey: ByteImage
     neighbours: Mapping[int, ByteImage]
     transforms: Mapping[int, Matrix]
+    camera_known: bool = True
 
     def aligned(self) -> dict[int, ByteImage]:
         """Return the neighbours as the frame itself would show them, exposed as it is."""
@@ -142,9 +144,11 @@ class FrameWindow:
             return None
         return self.transform(source, target)
 
-    def _is_use(self, index: int) -> bool:
-        """Whether a frame is at hand and shows the scene."""
-        return index in self._frames and self.shows_scene(index)
+    def _is_use(self, index: int, centre: int) -> bool:
+        """Whether a frame is at hand, shows the scene, and in the same view as another."""
+        if index not in self._frames or not self.shows_scene(index):
+            return False
+        return self._frames[index].camera.view == self._frames[centre].camera.view
 
     def neighbourhood(self, centre: int, wanted: Sequence[int]) -> Neighbourhood:
         """Return a frame with its neighbours at those of the wanted intervals that exist.
@@ -157,6 +161,7 @@ class FrameWindow:
             self._frames[centre].grey,
             {k: self._frames[centre + k].grey for k in intervals},
             {k: transforms[centre + k] for k in intervals},
+            self._frames[centre].camera.state is not CameraState.LOST,
         )
 
     def neighbours(self, centre: int, wanted: Sequence[int]) -> list[int]:
@@ -166,22 +171,22 @@ class FrameWindow:
         on one side, others near are added, for then the frame's own tilt has to be told as well.
         """
         there = {
-            k if self._is_use(centre + k) else -k
+            k if self._is_use(centre + k, centre) else -k
             for k in wanted
-            if self._is_use(centre + k) or self._is_use(centre - k)
+            if self._is_use(centre + k, centre) or self._is_use(centre - k, centre)
         }
         if there and (min(there) > 0 or max(there) < 0):
             nearest = min(there, key=abs)
             there |= {
                 k
                 for k in (round(nearest * share) for share in (0.25, 0.5, -0.5))
-                if k and self._is_use(centre + k)
+                if k and self._is_use(centre + k, centre)
             }
         return sorted(there)
 
     def key_frames(self, centre: int) -> list[int]:
         """Return the indices of the frames that show the scene at other times than `centre`."""
-        others = sorted(k for k in self._frames if k != centre and self.shows_scene(k))
+        others = sorted(k for k in self._frames if k != centre and self._is_use(k, centre))
         keys = [k for k in others if k % self._key_step == 0]
         # Early on there are few: then every frame at hand counts.
         return keys if len(keys) >= _ENOUGH_KEY_FRAMES else others
