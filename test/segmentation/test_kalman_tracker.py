@@ -259,6 +259,12 @@ def test_what_sways_widely_is_no_object_for_long() -> None:
     assert not any(known[40:])
 
 
+def test_what_was_followed_for_long_becomes_an_object_though_it_hardly_moves() -> None:
+    small = replace(seen(100, 100, width=3, height=3), surely_moves=True)
+    assert confirmed_at([small] * 8) == CONFIRMATION - 1
+    assert confirmed_at([replace(small, surely_moves=False)] * 8) is None
+
+
 def test_what_stands_still_never_becomes_an_object() -> None:
     tracker = tracker_of()
     for _ in range(20):

@@ -113,6 +113,11 @@ class CroppedMask:
         """Count its pixels that a mask of the whole frame, HxW, has too."""
         return int(np.count_nonzero(self.mask & mask[self.box.slices]))
 
+    def shares_pixels(self, other: CroppedMask) -> bool:
+        """Whether two masks of one frame have a pixel in common."""
+        common = self.box.intersection(other.box)
+        return common is not None and bool((self.within(common) & other.within(common)).any())
+
     def dilated(self, radius: int, shape: tuple[int, int]) -> CroppedMask:
         """Return it with some pixels more all round, within a frame of some shape."""
         box, mask = self._with_margin(radius, shape)

@@ -292,23 +292,26 @@ class KalmanTracker:
     def _confirm(self, track: Track, tilt: float) -> None:
         if track.confirmed or track.hits < self._min_hits or not track.detection.moving:
             return
+        if track.detection.surely_moves or self._behaves_like_object(track, tilt):
+            track.confirmed = True
+            track.id = self._next_id
+            self._next_id += 1
+            if self._free_slots:
+                track.slot = self._free_slots.pop(0)
+
+    def _behaves_like_object(self, track: Track, tilt: float) -> bool:
+        """Whether it keeps its shape and has come further than chance would take it."""
         if not track.keeps_shape(max(self._min_hits - 1, 1), _MIN_SHAPE_IOU):
-            return
+            return False
         if track.hits < _FLICKER_HITS * self._min_hits and _flickers(track, tilt):
-            return
+            return False
         wanted = max(
             self._significant_way(track, tilt),
             _CONFIRMED_RATIO * sum(track.flow_speeds),
         )
         if any(site.holds(track.birthplace) for site in self._clutter_sites):
             wanted = max(wanted, track.size)
-        if track.travelled < wanted:
-            return
-        track.confirmed = True
-        track.id = self._next_id
-        self._next_id += 1
-        if self._free_slots:
-            track.slot = self._free_slots.pop(0)
+        return track.travelled >= wanted
 
     def _significant_way(self, track: Track, tilt: float) -> float:
         """Return the way that a track must have come, for chance makes a longer one too seldom."""

@@ -240,8 +240,8 @@ class _Stream:
             self._passed += 1
             return
         self._passed = 0
-        window = self._pipeline.window
-        window.append(replace(ready.prepared, index=window.count))
+        index = self._pipeline.window.count
+        self._pipeline.append(replace(ready.prepared, index=index))
 
     def advance(self, load: Load) -> list[SegmentationResult]:
         """Segment what can be, as the load permits; return the results that are settled."""

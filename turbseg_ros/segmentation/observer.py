@@ -14,6 +14,7 @@ from turbseg_ros.segmentation.track import Detection
 STAGES = (
     "scaling",
     "registration",
+    "small targets",
     "optical flow",
     "motion map",
     "region growing",

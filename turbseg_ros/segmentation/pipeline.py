@@ -5,6 +5,7 @@
     eq. 2    geometric consistency     motion.AffineMotion; geometry.sampson_distance
              seeds                     region_growing.seed_strength; evidence.PictureEvidence
     eq. 3    seeded region growing     region_growing.similar_velocity; similar_magnitude
+             small targets             small_targets.TargetTracks (not in the paper)
     eq. 4    mask ids                  kalman_tracker.KalmanTracker; kmeans_ids.kmeans_ids
     eq. 5-9  refinement                outliner.RefinedDifference; learning.clip_refinement
 
@@ -32,10 +33,12 @@ from turbseg_ros.segmentation.moving import Moving, what_moves
 from turbseg_ros.segmentation.observer import StageObserver
 from turbseg_ros.segmentation.outliner import GUARD, Outliner, overlay_masks
 from turbseg_ros.segmentation.pending_result import PendingResult
+from turbseg_ros.segmentation.preparation import PreparedFrame
 from turbseg_ros.segmentation.region_growing import Region, grow_regions, seed_strength
 from turbseg_ros.segmentation.registration import without_vote
 from turbseg_ros.segmentation.resolution import Resolution
 from turbseg_ros.segmentation.scene_memory import SceneMemory
+from turbseg_ros.segmentation.small_targets import TargetTracks, with_targets
 from turbseg_ros.segmentation.strategies import Strategies
 
 # Smallest region, in pixels at processing resolution.
@@ -75,10 +78,16 @@ class Pipeline:
             self._travelled_objects,
         )
         self._scene = SceneMemory()
+        self._targets = TargetTracks()
         self._regions = strategies.regions.fitted(resolution)
         # The frame that was tracked last.
         self._tracked = -1
         self._outliner = Outliner(self.window, resolution, strategies.outlines, observer)
+
+    def append(self, prepared: PreparedFrame) -> None:
+        """Take the next frame into the window, and follow what stands out in it."""
+        self.window.append(prepared)
+        self._targets.take(prepared.blobs, prepared.from_previous, self._overlay)
 
     def segment_frame(self, index: int, frame: Frame, load: Load) -> PendingResult:
         """Segment the next frame of the window."""
@@ -107,15 +116,16 @@ class Pipeline:
             detections = self._outliner.detections(
                 index, moving, expected, overlays, tilt, frame.stamp
             )
+            image = self.window[index].detail
+            targets = self._targets.moving_at(self.window.count - 1 - index)
+            detections = with_targets(detections, targets, image, resolution)
             detections = self._regions.looked_at(detections, expected)
             self._observer.detections(frame.stamp, detections, resolution)
             # Tracks: which object is which of those before (eq. 4).
             with self._observer.stage("tracking"):
-                image = self.window[index].detail
                 observations = tracker.update(detections, ego_motion, tilt, image)
 
         self._tracked = index
-
         # What is an object is no background, and only where one is does motion go on.
         masks = [seen.detection.outline.dilated(GUARD, shape) for seen in observations]
         self.window.mark_objects(index, [*masks, *overlays])

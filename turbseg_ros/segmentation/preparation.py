@@ -19,6 +19,7 @@ from turbseg_ros.segmentation.frame import Frame
 from turbseg_ros.segmentation.observer import StageObserver
 from turbseg_ros.segmentation.registration import register
 from turbseg_ros.segmentation.resolution import Resolution
+from turbseg_ros.segmentation.small_targets import NO_BLOBS, Blobs, blobs_in
 from turbseg_ros.segmentation.tone import ToneMap
 
 
@@ -31,7 +32,7 @@ class PreparedFrame:
     `from_previous` takes the pixels (of `grey`) of the frame before in the window to this one's;
     `continues` tells whether the two have anything in common, `condition` whether all of it shows
     what that one showed, and `usual` what is so from frame to frame, None for a scene's first;
-    `camera` is what is known of the camera's motion by then.
+    `camera` is what is known of the camera's motion by then; `blobs` are what stands out in it.
     """
 
     index: int
@@ -43,6 +44,7 @@ class PreparedFrame:
     condition: Condition = Condition.SOUND
     usual: Usual | None = None
     camera: CameraTrack = field(default_factory=CameraTrack)
+    blobs: Blobs = NO_BLOBS
 
     @functools.cached_property
     def to_previous(self) -> Matrix:
@@ -83,6 +85,8 @@ def prepare(
         if previous is not None:
             motion = None if found is None else from_previous
             condition, usual = judged(grey, previous.grey, motion, previous.usual)
+    with observer.stage("small targets"):
+        blobs = blobs_in(grey)
     return PreparedFrame(
         index=index,
         grey=grey,
@@ -92,6 +96,7 @@ def prepare(
         condition=condition,
         usual=usual,
         camera=camera,
+        blobs=blobs,
     )
 
 

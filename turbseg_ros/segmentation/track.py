@@ -37,7 +37,8 @@ class Detection:
     `velocity` is in pixels a frame against the scene; `moving` tells whether motion was found in
     this frame, or only an outline that stands out where an object is known to be. `clutter` is
     what its place is known to move by without anything being there, in pixels a frame; `cut_off`
-    tells whether it reaches the border of what can be seen.
+    tells whether it reaches the border of what can be seen, `surely_moves` whether it was followed
+    for long enough, before it became a detection, to know that it is an object.
     """
 
     box: Box
@@ -46,6 +47,7 @@ class Detection:
     moving: bool
     clutter: float = 0.0
     cut_off: bool = False
+    surely_moves: bool = False
 
     @property
     def outline(self) -> CroppedMask:
@@ -161,7 +163,9 @@ class Track:
         """Take the detection that stands for it in this frame."""
         common = self.intersection_area(detection)
         union = self.detection.area + detection.area - common
-        self.shape_ious = [*self.shape_ious, common / max(union, 1)][-SHAPE_SPAN:]
+        # A pixel more or less is much of a target of a few, and says nothing.
+        iou = 1.0 if detection.surely_moves else common / max(union, 1)
+        self.shape_ious = [*self.shape_ious, iou][-SHAPE_SPAN:]
         self.kalman.correct(detection.centroid.reshape(2, 1))
         self._see(detection, detection.centroid)
 
@@ -333,6 +337,7 @@ def joined(parts: Sequence[Detection]) -> Detection:
         mask=mask,
         moving=any(part.moving for part in parts),
         cut_off=any(part.cut_off for part in parts),
+        surely_moves=any(part.surely_moves for part in parts),
     )
 
 
