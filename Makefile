@@ -6,7 +6,7 @@ comma := ,
 # A sourced ROS 2 brings rclpy, OpenCV and NumPy of its own; elsewhere they come as wheels.
 SOURCED_ROS := $(and $(ROS_DISTRO),$(shell $(PYTHON) -c 'import rclpy' 2>/dev/null && echo yes))
 VENV_FLAGS := $(if $(SOURCED_ROS),--system-site-packages)
-EXTRAS := bags,evaluation,cluster,test,docs,lint,colcon$(if $(SOURCED_ROS),,$(comma)wheels)
+EXTRAS := bags,evaluation,view,cluster,test,docs,lint,colcon$(if $(SOURCED_ROS),,$(comma)wheels)
 CONSTRAINTS := $(if $(SOURCED_ROS),,-c constraints.txt)
 
 .DEFAULT_GOAL := help

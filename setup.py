@@ -7,7 +7,17 @@ from setuptools import find_packages, setup
 
 PACKAGE = "turbseg_ros"
 
-EXECUTABLES = ("node", "play", "replay", "evaluate", "simulate", "train", "import", "benchmark")
+EXECUTABLES = (
+    "node",
+    "play",
+    "replay",
+    "evaluate",
+    "simulate",
+    "train",
+    "import",
+    "benchmark",
+    "view",
+)
 
 
 def _version() -> str:
@@ -44,7 +54,9 @@ setup(
     # Said aloud, so that an editable installation is a plain path, which type checkers follow too.
     package_dir={"": "."},
     packages=find_packages(include=[f"{PACKAGE}*"]),
-    package_data={PACKAGE: ["py.typed", "evaluation/*.jinja", "learning/weights/*"]},
+    package_data={
+        PACKAGE: ["py.typed", "evaluation/*.jinja", "learning/weights/*", "view/page/*"]
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
@@ -80,6 +92,8 @@ setup(
         "bags": ["mcap>=1.2.1,<2"],
         # Reports and curves.
         "evaluation": ["jinja2>=3.1,<4"],
+        # The page that shows a running node.
+        "view": ["aiohttp>=3.9,<4"],
         # Evaluation on a Dask scheduler.
         "cluster": ["distributed>=2024.1"],
         # SQLite bags of rosbag2, and those of ROS 1.

@@ -25,6 +25,7 @@ KNOWS: dict[str, set[str]] = {
     "datasets": {"bag", "messages", "segmentation"},
     "learning": {"segmentation", "simulation"},
     "nodes": {"messages", "segmentation", "bag"},
+    "view": {"messages", "segmentation"},
     "evaluation": {"bag", "messages", "segmentation", "simulation"},
     "cli": set(ROOMS),
 }

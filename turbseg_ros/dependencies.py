@@ -49,6 +49,7 @@ _PACKAGES = {
     "pyarrow": _Package("writes Parquet", ["pyarrow"]),
     "jinja2": _Package("writes reports and curves", ["jinja2"], "python3-jinja2"),
     "distributed": _Package("talks to Dask's scheduler", ["distributed"]),
+    "aiohttp": _Package("serves the page", ["aiohttp"], "python3-aiohttp"),
     "torch": _LEARNING,
     "torchvision": _LEARNING,
     "safetensors": _EXPORT,

@@ -17,11 +17,11 @@ TIME_LIMIT = 100
 
 EXECUTABLES = (
     *("node", "play", "replay", "evaluate", "simulate", "import"),
-    *("benchmark", "train", "demo", "stages", "real"),
+    *("benchmark", "train", "demo", "stages", "real", "view"),
 )
 # Everything that is not Python's own.
 ALL = (
-    *("numpy", "scipy", "cv2", "yaml", "tqdm", "mcap", "zstandard", "lz4", "jinja2"),
+    *("numpy", "scipy", "cv2", "yaml", "tqdm", "mcap", "zstandard", "lz4", "jinja2", "aiohttp"),
     *("distributed", "dask", "torch", "torchvision", "safetensors", "onnx", "onnxscript"),
     *("rclpy", "rosidl_runtime_py", "rosidl_parser", "launch", "launch_ros", "lark"),
     *("builtin_interfaces", "sensor_msgs", "std_msgs", "std_srvs", "visualization_msgs"),
@@ -60,6 +60,15 @@ NEEDED = {
     ("train", "-o", "y"): ("torch", "cv2", "numpy"),
     ("demo", "--bag", "x"): (*BAGS, *METHOD, "tqdm"),
     ("stages", "x", "-o", "y.png"): (*BAGS, *METHOD),
+    ("view",): (
+        "aiohttp",
+        "rclpy",
+        "sensor_msgs",
+        "diagnostic_msgs",
+        "rcl_interfaces",
+        "yaml",
+        "cv2",
+    ),
 }
 CASES = [(call, module) for call, modules in NEEDED.items() for module in dict.fromkeys(modules)]
 

@@ -73,10 +73,10 @@ class Page:
         return [parameters for method, parameters in self.events if method == name]
 
     def evaluate(self, expression: str) -> Any:
-        """Return the value of a JavaScript expression in the page."""
+        """Return the value of a JavaScript expression in the page, None where it has none."""
         result = self.call("Runtime.evaluate", expression=expression, returnByValue=True)
         assert "exceptionDetails" not in result, result
-        return result["result"]["value"]
+        return result["result"].get("value")
 
     def resize(self, width: int, height: int, dark: bool = False) -> None:
         """Show the page as a screen of that many CSS pixels does."""

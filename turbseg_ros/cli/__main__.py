@@ -46,6 +46,7 @@ train = _starter("train")
 demo = _starter("demo")
 stages = _starter("stages")
 real = _starter("real")
+view = _starter("view")
 
 _STARTERS = {
     "node": node,
@@ -59,6 +60,7 @@ _STARTERS = {
     "demo": demo,
     "stages": stages,
     "real": real,
+    "view": view,
 }
 
 

@@ -1,0 +1,1 @@
+"""What is seen of a running node in a browser: its state, the ROS side, the server, the page."""
