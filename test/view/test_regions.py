@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from pathlib import Path
 from typing import Any
@@ -35,6 +36,13 @@ def test_regions_are_written_in_pixels_and_read_in_fractions(file: RegionFile) -
     assert read["name"] == "road" and read["kind"] == "ignore"
     for given, found in zip(TRIANGLE, read["polygon"], strict=True):
         assert found == pytest.approx(given, abs=1e-3)
+
+
+def test_a_file_whose_name_says_so_is_json(tmp_path: Path) -> None:
+    file = RegionFile(tmp_path / "regions.JSON")
+    file.write([{**ROAD, "name": "straße"}], None)
+    assert json.loads(file.path.read_text())["regions"][0]["name"] == "straße"
+    assert file.read()[0]["name"] == "straße"
 
 
 def test_without_a_picture_corners_stay_fractions(file: RegionFile) -> None:

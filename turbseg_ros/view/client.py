@@ -12,7 +12,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.clock import Clock, ClockType
 from rclpy.context import Context
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import CompressedImage, Image
 from visualization_msgs.msg import ImageMarker, MarkerArray
@@ -34,6 +34,8 @@ _LEVELS = {
 _TICK = 0.1
 # Results that wait for pictures: ~/overlay comes after them.
 _RECENT = 30
+# What is older than these when a viewer is slow is of no interest.
+_IMAGE_DEPTH = 2
 # A viewer that hangs must cost its node nothing: unreliable, and newest first.
 _RESULTS = QoSProfile(depth=30, reliability=ReliabilityPolicy.BEST_EFFORT)
 
@@ -73,7 +75,7 @@ class Viewer(Node):  # type: ignore[misc]  # rclpy is read as untyped
         self._watched = False
         self._draws_overlay = False
         self._input_topic = ""
-        self._image_topic = ""
+        self._chosen: tuple[str, ReliabilityPolicy] | None = None
         self._images: Subscription | None = None
         self._results: list[Subscription] = []
         self._parameters: LiveParameters | None = None
@@ -131,26 +133,36 @@ class Viewer(Node):  # type: ignore[misc]  # rclpy is read as untyped
 
     def _choose_images(self) -> None:
         """Subscribe to the images that are to be seen now, if any are."""
-        wanted = ""
+        topic = ""
         if self._watched and self._name and self._state.is_there:
-            wanted = f"{self._name}/overlay" if self._draws_overlay else self._input_topic
-        if wanted == self._image_topic:
+            topic = f"{self._name}/overlay" if self._draws_overlay else self._input_topic
+        wanted = (topic, self._reliability(topic)) if topic else None
+        if wanted == self._chosen:
             return
         if self._images is not None:
             self.destroy_subscription(self._images)
             self._images = None
-        self._image_topic = wanted
+        self._chosen = wanted
         self._pictures.clear()
         self._encoder = JpegEncoder(self._encoder_width)
-        if wanted:
-            kind = CompressedImage if wanted.endswith("/compressed") else Image
+        if wanted is not None:
+            kind = CompressedImage if topic.endswith("/compressed") else Image
             self._images = self.create_subscription(
                 kind,
-                wanted,
-                lambda message: self._take_image(message, kind),
-                qos_profile_sensor_data,
+                topic,
+                functools.partial(self._take_image, topic, kind),
+                QoSProfile(depth=_IMAGE_DEPTH, reliability=wanted[1]),
                 raw=True,
             )
+
+    def _reliability(self, topic: str) -> ReliabilityPolicy:
+        """Return reliable where all publishers offer it: of large images the other loses most."""
+        offered = [
+            info.qos_profile.reliability for info in self.get_publishers_info_by_topic(topic)
+        ]
+        if offered and all(each == ReliabilityPolicy.RELIABLE for each in offered):
+            return ReliabilityPolicy.RELIABLE
+        return ReliabilityPolicy.BEST_EFFORT
 
     def _take_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
@@ -194,13 +206,13 @@ class Viewer(Node):  # type: ignore[misc]  # rclpy is read as untyped
     def _show(self, picture: Jpeg, result: Result) -> None:
         self._state.tell_picture(picture.data, picture.size, result, self._draws_overlay)
 
-    def _take_image(self, message: bytes, kind: type[Any]) -> None:
+    def _take_image(self, topic: str, kind: type[Any], message: bytes) -> None:
         if not self._pace.lets_through(time.monotonic()):
             return
         try:
             frame = frame_from_serialised(memoryview(message), kind)
         except ImageConversionError as error:
-            self._state.tell_picture_problem(f"{self._image_topic}: {error}")
+            self._state.tell_picture_problem(f"{topic}: {error}")
             return
         picture = self._encoder.encode(frame.image)
         result = self._recent.get(frame.stamp)

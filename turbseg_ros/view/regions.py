@@ -1,4 +1,4 @@
-"""Files of regions that are drawn on the page: read, checked and written.
+"""Files of regions that are drawn on the page, YAML or JSON: read, checked and written.
 
     image_size: [1920, 1080]
     regions:
@@ -11,6 +11,7 @@ they always are fractions. What else a region has in the file, it keeps.
 from __future__ import annotations
 
 import itertools
+import json
 import math
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -182,7 +183,10 @@ def _replace(path: Path, tree: Mapping[str, Any]) -> None:
     """Write a file that is the old one or the new one, whatever happens meanwhile."""
     import yaml
 
-    text = yaml.safe_dump(tree, sort_keys=False, allow_unicode=True, default_flow_style=None)
+    if path.suffix.lower() == ".json":
+        text = json.dumps(tree, ensure_ascii=False, indent=1) + "\n"
+    else:
+        text = yaml.safe_dump(tree, sort_keys=False, allow_unicode=True, default_flow_style=None)
     with tempfile.NamedTemporaryFile(
         "w", encoding="utf-8", dir=path.parent, prefix=f".{path.name}.", delete=False
     ) as partial:

@@ -240,12 +240,9 @@ class ViewServer:
         path = str(self._file.path.resolve())
         saved = f"saved in {self._file.path}"
         _, parameters = self._state.parameters
-        known = {each.name: each for each in parameters}.get(_REGION_PARAMETER)
-        if known is None:
+        if _REGION_PARAMETER not in {each.name for each in parameters}:
             return "", f"{saved}; the node takes it when it starts with {_REGION_PARAMETER}"
-        if known.value == path:
-            # The same name again says nothing new to it.
-            await self._set(_REGION_PARAMETER, "")
+        # The same name again has the file read anew.
         if problem := await self._set(_REGION_PARAMETER, path):
             return f"{saved}, but the node refuses it: {problem}", ""
         return "", f"{saved}; the node has taken it"
