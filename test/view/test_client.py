@@ -133,6 +133,30 @@ def test_a_picture_is_shown_when_its_result_comes(
     assert (state.picture.width, state.picture.height) == (16, 9)
 
 
+def test_outlines_come_with_the_very_image_that_they_were_found_in(
+    probe: Probe, state: ViewState, viewer: Viewer
+) -> None:
+    node = PlayedNode(probe)
+    heard(probe, state, node, input_topic="/camera/image")
+    images = camera(probe, viewer)
+
+    def shown() -> bool:
+        # Results come many images later; the grey tells which image it is.
+        for stamp in range(1, 21):
+            images.publish(message_from_image(IMAGE + np.uint8(10 * stamp), "mono8", stamp))
+            probe.spin(0.02)
+        node.answer(7)
+        probe.spin(0.1)
+        return state.picture is not None
+
+    probe.wait_for(shown, "a picture")
+    picture = state.picture
+    assert picture is not None
+    image = cv2.imdecode(np.frombuffer(picture.jpeg, np.uint8), cv2.IMREAD_UNCHANGED)
+    assert picture.result.stamp == 7
+    assert image is not None and image.mean() == pytest.approx(70, abs=3)
+
+
 def test_where_no_result_has_an_images_stamp_the_nodes_own_picture_is_shown(
     probe: Probe, state: ViewState, viewer: Viewer
 ) -> None:

@@ -1,44 +1,36 @@
-"""Files of regions that are drawn on the page, YAML or JSON: read, checked and written.
+"""Regions that are drawn on the page, and their file: that of the node's `regions.file`.
 
-    image_size: [1920, 1080]
-    regions:
-    - {name: road, kind: ignore, polygon: [[x, y], ...]}
-
-Corners are pixels of an image of that size; without it, fractions of width and height. On the page
-they always are fractions. What else a region has in the file, it keeps.
+On the page corners are fractions of the picture's width and height; in the file, where the size of
+the picture is known, pixels.
 """
 
 from __future__ import annotations
 
-import itertools
 import json
-import math
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from turbseg_ros.parameter_file import parsed
+import yaml
 
-KINDS = ("ignore", "include")
-_MAX_REGIONS = 100
-_MAX_CORNERS = 500
-_MAX_NAME = 60
-# What a region may have beside its polygon; numbers.
-_LIMITS = ("min_size", "max_size", "min_speed")
+from turbseg_ros.parameters import ParameterError
+from turbseg_ros.region_file import regions_in
+from turbseg_ros.segmentation.marked_regions import (
+    Corners,
+    Limits,
+    MarkedRegion,
+    Polygon,
+    Size,
+)
 
 Region = dict[str, Any]
 """`name`, `kind`, `polygon` in fractions of the picture, and limits where it has some."""
-Size = tuple[int, int]
-"""Width and height in pixels."""
-
-
-class RegionError(ValueError):
-    """Regions that can't be; the text is one line saying why."""
 
 
 class RegionFile:
-    """The file at `path`, which need not be there yet."""
+    """The file at `path`, YAML or, by its name, JSON, which need not be there yet."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -46,151 +38,93 @@ class RegionFile:
     def read(self) -> list[Region]:
         """Return the regions in the file, none while there is no file.
 
-        :raises RegionError: when it holds something else, or can't be read.
+        :raises ParameterError: when it holds something else, or can't be read.
         """
-        size, regions = self._content()
-        if size is None:
-            return checked(regions)
-        return checked([{**_fields(each), "polygon": _fractions(each, size)} for each in regions])
+        return [_entry(region, _fractions(_polygon(region).corners)) for region in self._marked()]
 
-    def write(self, regions: object, picture_size: Size | None) -> list[Region]:
-        """Write regions in the place of those in the file; return them.
+    def write(self, drawn: object, picture_size: Size | None) -> list[Region]:
+        """Write regions from the page in the place of those in the file; return them.
 
-        Where the file names no size of its images, `picture_size` is the one that it gets.
+        Where the file does not say of which size its pictures are, they are of `picture_size`.
 
-        :raises RegionError: when they can't be; the file then stays as it was.
+        :raises ParameterError: when they can't be; the file then stays as it was.
         :raises OSError: when the file can't be written.
         """
-        kept = checked(regions)
-        size = self._content()[0] or picture_size
-        entries = [{**each, "polygon": _written(each["polygon"], size)} for each in kept]
+        present = self._marked()
+        size = _polygon(present[0]).size if present else None
+        size = size or picture_size
+        checked = regions_in(json.dumps({"regions": drawn}).encode(), "the page", is_json=True)
         tree: dict[str, Any] = {"image_size": list(size)} if size else {}
-        tree["regions"] = entries
-        _replace(self.path, tree)
-        return kept
+        tree["regions"] = [
+            _entry(
+                region,
+                _pixels(_polygon(region).corners, size)
+                if size
+                else _fractions(_polygon(region).corners),
+            )
+            for region in checked
+        ]
+        content = self._text(tree).encode()
+        # As it will be read: corners were rounded.
+        regions_in(content, "the page", is_json=self._is_json)
+        _replace(self.path, content)
+        return [_entry(region, _fractions(_polygon(region).corners)) for region in checked]
 
-    def _content(self) -> tuple[Size | None, list[Any]]:
+    @property
+    def _is_json(self) -> bool:
+        return self.path.suffix.lower() == ".json"
+
+    def _marked(self) -> list[MarkedRegion]:
         try:
-            tree = parsed(self.path.read_text(encoding="utf-8"))
+            content = self.path.read_bytes()
         except FileNotFoundError:
-            return None, []
-        except (OSError, ValueError) as error:
-            raise RegionError(f"{self.path}: {' '.join(str(error).split())}") from error
-        regions = tree.get("regions") if isinstance(tree, dict) else None
-        if not (isinstance(tree, dict) and isinstance(regions, list)):
-            raise RegionError(f"{self.path}: no file of regions")
-        size = tree.get("image_size")
-        if size is None:
-            return None, regions
-        if not (
-            isinstance(size, list)
-            and len(size) == 2
-            and all(type(side) is int and side > 0 for side in size)
-        ):
-            raise RegionError(f"{self.path}: image_size takes [width, height]")
-        return (size[0], size[1]), regions
+            return []
+        except OSError as error:
+            raise ParameterError(f"{self.path}: {error.strerror or error}") from error
+        return regions_in(content, str(self.path), is_json=self._is_json)
+
+    def _text(self, tree: Region) -> str:
+        if self._is_json:
+            return json.dumps(tree, ensure_ascii=False, indent=1) + "\n"
+        text: str = yaml.safe_dump(
+            tree, sort_keys=False, allow_unicode=True, default_flow_style=None
+        )
+        return text
 
 
-def checked(regions: object) -> list[Region]:
-    """Return regions whose corners are fractions of the picture.
-
-    :raises RegionError: when they aren't.
-    """
-    if not isinstance(regions, list) or len(regions) > _MAX_REGIONS:
-        raise RegionError(f"regions are a list of up to {_MAX_REGIONS}")
-    return [_checked(each, number) for number, each in enumerate(regions, 1)]
+def _polygon(region: MarkedRegion) -> Polygon:
+    # Files of regions hold no masks.
+    assert isinstance(region.shape, Polygon)
+    return region.shape
 
 
-def _checked(region: object, number: int) -> Region:
-    fields = _fields(region)
-    name = str(fields.get("name") or f"region {number}")
-    if not (name.isprintable() and len(name) <= _MAX_NAME):
-        raise RegionError(f"region {number}: a name is one line of up to {_MAX_NAME} characters")
-    kind = fields.get("kind", KINDS[0])
-    if kind not in KINDS:
-        raise RegionError(f"{name}: kind is one of {', '.join(KINDS)}")
-    polygon = fields.get("polygon")
-    if not (isinstance(polygon, list) and all(_is_corner(corner) for corner in polygon)):
-        raise RegionError(f"{name}: a polygon is a list of corners in the picture")
-    if not 3 <= len(polygon) <= _MAX_CORNERS:
-        raise RegionError(f"{name}: a polygon has 3 to {_MAX_CORNERS} corners")
-    if _crosses_itself(polygon):
-        raise RegionError(f"{name}: its sides cross")
-    limits = {key: fields[key] for key in _LIMITS if key in fields}
-    if not all(_is_number(value) and value >= 0 for value in limits.values()):
-        raise RegionError(f"{name}: limits are numbers from 0 on")
-    return {"name": name, "kind": kind, "polygon": polygon, **limits}
+def _entry(region: MarkedRegion, polygon: Sequence[Sequence[float]]) -> Region:
+    kind = "ignore" if region.ignored else "include"
+    unlimited = asdict(Limits())
+    limits = {
+        name: limit for name, limit in asdict(region.limits).items() if limit != unlimited[name]
+    }
+    return {"name": region.name, "kind": kind, "polygon": polygon, **limits}
 
 
-def _fields(region: object) -> Mapping[str, Any]:
-    if not isinstance(region, dict):
-        raise RegionError("a region has name, kind and polygon")
-    return region
+def _fractions(corners: Corners) -> list[list[float]]:
+    return [[round(value, 5) for value in corner] for corner in corners.tolist()]
 
 
-def _is_number(value: object) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
-
-
-def _is_point(corner: object) -> bool:
-    return isinstance(corner, list) and len(corner) == 2 and all(map(_is_number, corner))
-
-
-def _is_corner(corner: object) -> bool:
-    return isinstance(corner, list) and _is_point(corner) and all(0 <= v <= 1 for v in corner)
-
-
-def _crosses_itself(polygon: Sequence[Sequence[float]]) -> bool:
-    sides = list(zip(polygon, [*polygon[1:], polygon[0]], strict=True))
-    return any(_cross(one, other) for one, other in itertools.combinations(sides, 2))
-
-
-def _cross(one: Sequence[Sequence[float]], other: Sequence[Sequence[float]]) -> bool:
-    """Whether two sides cross in a point that is an end of neither."""
-
-    def side(line: Sequence[Sequence[float]], point: Sequence[float]) -> float:
-        (ax, ay), (bx, by) = line
-        return (bx - ax) * (point[1] - ay) - (by - ay) * (point[0] - ax)
-
-    return (
-        side(one, other[0]) * side(one, other[1]) < 0
-        and side(other, one[0]) * side(other, one[1]) < 0
-    )
-
-
-def _fractions(region: object, size: Size) -> object:
-    """Return a polygon of a file in fractions; what is none, as it is."""
-    polygon = _fields(region).get("polygon")
-    if not (isinstance(polygon, list) and all(map(_is_point, polygon))):
-        return polygon
-    # A pixel's centre, at whole numbers, lies half a pixel into the picture.
+def _pixels(corners: Corners, size: Size) -> list[list[float]]:
+    # Both kinds of coordinates begin at the picture's edge.
     return [
-        [min((value + 0.5) / side, 1.0) for value, side in zip(corner, size, strict=True)]
-        for corner in polygon
+        [round(value * side, 1) for value, side in zip(corner, size, strict=True)]
+        for corner in corners.tolist()
     ]
 
 
-def _written(polygon: Sequence[Sequence[float]], size: Size | None) -> list[list[float]]:
-    if size is None:
-        return [[round(value, 5) for value in corner] for corner in polygon]
-    return [
-        [max(round(value * side - 0.5, 1), 0.0) for value, side in zip(corner, size, strict=True)]
-        for corner in polygon
-    ]
-
-
-def _replace(path: Path, tree: Mapping[str, Any]) -> None:
+def _replace(path: Path, content: bytes) -> None:
     """Write a file that is the old one or the new one, whatever happens meanwhile."""
-    import yaml
-
-    if path.suffix.lower() == ".json":
-        text = json.dumps(tree, ensure_ascii=False, indent=1) + "\n"
-    else:
-        text = yaml.safe_dump(tree, sort_keys=False, allow_unicode=True, default_flow_style=None)
     with tempfile.NamedTemporaryFile(
-        "w", encoding="utf-8", dir=path.parent, prefix=f".{path.name}.", delete=False
+        dir=path.parent, prefix=f".{path.name}.", delete=False
     ) as partial:
-        partial.write(text)
+        partial.write(content)
     try:
         Path(partial.name).chmod(0o644)
         Path(partial.name).replace(path)

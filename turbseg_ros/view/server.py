@@ -20,8 +20,9 @@ from urllib.parse import urlencode
 
 from aiohttp import WSCloseCode, WSMsgType, web
 
+from turbseg_ros.parameters import ParameterError
 from turbseg_ros.view.access import Access
-from turbseg_ros.view.regions import Region, RegionError, RegionFile
+from turbseg_ros.view.regions import Region, RegionFile
 from turbseg_ros.view.state import DRAWN, Picture, ViewState
 
 _PAGE = Path(__file__).parent / "page"
@@ -227,7 +228,7 @@ class ViewServer:
         size = (picture.width, picture.height) if picture else None
         try:
             self._regions = await asyncio.to_thread(self._file.write, regions, size)
-        except RegionError as error:
+        except ParameterError as error:
             return f"not saved: {error}", ""
         except OSError as error:
             return f"not saved: {self._file.path}: {error.strerror or error}", ""
@@ -250,7 +251,7 @@ class ViewServer:
     def _read_regions(self) -> None:
         try:
             self._regions, self._regions_problem = self._file.read(), ""
-        except RegionError as error:
+        except ParameterError as error:
             self._regions, self._regions_problem = [], str(error)
         self._region_version += 1
 
