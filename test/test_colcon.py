@@ -39,7 +39,9 @@ def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_executables_lie_where_ros2_run_looks(workspace):
     installed = workspace / "install" / "turbseg_ros"
     executables = {path.name for path in (installed / "lib" / "turbseg_ros").iterdir()}
-    assert {"turbseg_node", "turbseg_play", "turbseg_replay"} <= executables
+    assert {"turbseg_node", "turbseg_play", "turbseg_replay", "turbseg_view"} <= executables
+    page = {path.name for path in installed.rglob("view/page/*")}
+    assert page == {"index.html", "view.css", "view.js"}
     share = installed / "share"
     assert (share / "ament_index/resource_index/packages/turbseg_ros").exists()
     assert (share / "turbseg_ros" / "package.xml").exists()

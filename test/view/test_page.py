@@ -261,6 +261,8 @@ def test_in_a_browser_a_slider_sets_its_parameter_and_a_refusal_is_shown(
 ) -> None:
     open_page(tab, scene, 1280, 860, False)
     control = "document.querySelector('[data-name=\"tracking.min_hits\"]')"
+    tab.evaluate(f"{control}.querySelector('.explain').click()")
+    assert "seen moving" in tab.evaluate(f"{control}.innerText")
     tab.evaluate(
         f"(() => {{ const s = {control}.querySelector('[type=range]');"
         "s.value = 0.3; s.dispatchEvent(new Event('input')); s.dispatchEvent(new Event('change'));"

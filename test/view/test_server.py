@@ -282,6 +282,22 @@ def test_a_node_that_does_not_answer_is_said_to(
     run(ask)
 
 
+def test_pictures_go_on_while_the_node_does_not_answer(tmp_path: Path) -> None:
+    async def ask() -> None:
+        site = Site(tmp_path)
+        async with site.client() as client:
+            socket = await client.ws_connect("/ws")
+            await socket.send_json({"kind": "set", "name": "silent", "value": 3})
+            for stamp in range(5):
+                site.show(stamp)
+                assert (await picture(socket))[0]["stamp"] == stamp
+                await socket.send_json({"kind": "shown"})
+            await socket.send_json({"kind": "set", "name": "good", "value": 3})
+            assert (await text(socket, "set"))["name"] == "good"
+
+    run(ask)
+
+
 def test_regions_are_saved_and_shown_to_everybody(tmp_path: Path) -> None:
     async def ask() -> None:
         site = Site(tmp_path)

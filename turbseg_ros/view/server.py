@@ -43,6 +43,8 @@ _MAX_CLIENTS = 16
 # Bytes that the page may send at once: regions with many corners.
 _MAX_MESSAGE = 1 << 20
 _UNDER_WAY = 2
+# Parameters and regions of one browser that are being set; it waits with further ones.
+_MAX_WISHES = 16
 # Seconds.
 _SUMMARY_PERIOD = 0.5
 _HEARTBEAT = 20.0
@@ -63,7 +65,7 @@ class Node(Protocol):
 
 @dataclass(eq=False)
 class _Client:
-    """One browser. What it has been told, and how many pictures it has not shown yet."""
+    """One browser: what it has been told, and what it waits for."""
 
     socket: web.WebSocketResponse
     changed: asyncio.Event = field(default_factory=asyncio.Event)
@@ -73,6 +75,7 @@ class _Client:
     picture: int = 0
     under_way: int = 0
     summary_due: float = 0.0
+    wishes: set[asyncio.Task[None]] = field(default_factory=set)
 
 
 class ViewServer:
@@ -167,11 +170,21 @@ class ViewServer:
             if kind == "shown":
                 client.under_way = max(client.under_way - 1, 0)
                 client.changed.set()
-            elif kind == "set":
+            elif kind in ("set", "save"):
+                # Pictures go on while the node takes its time.
+                if len(client.wishes) >= _MAX_WISHES:
+                    await asyncio.wait(client.wishes, return_when=asyncio.FIRST_COMPLETED)
+                task = asyncio.create_task(self._fulfil(client, kind, wish))
+                client.wishes.add(task)
+                task.add_done_callback(client.wishes.discard)
+
+    async def _fulfil(self, client: _Client, kind: str, wish: dict[str, Any]) -> None:
+        with contextlib.suppress(ConnectionError):
+            if kind == "set":
                 name = str(wish.get("name"))
                 problem = await self._set(name, wish.get("value"))
                 await _tell(client, "set", name=name, problem=problem)
-            elif kind == "save":
+            else:
                 problem, done = await self._save(wish.get("regions"))
                 await _tell(client, "saved", problem=problem, done=done)
 

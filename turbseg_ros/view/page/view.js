@@ -400,8 +400,16 @@ function parameterControl(parameter) {
   const refused = element("p", { className: "refused" });
   refused.setAttribute("role", "alert");
   const row = element("div", { className: "row" });
-  const shown = element("div", { className: "parameter", title: parameter.description },
-    element("label", { textContent: name, htmlFor: `p-${name}` }), row, refused);
+  const description = element("p", { className: "quiet", textContent: parameter.description, hidden: true });
+  const explain = element("button", { className: "explain", textContent: "?", ariaLabel: `what ${name} is` });
+  explain.setAttribute("aria-expanded", "false");
+  explain.onclick = () => {
+    description.hidden = !description.hidden;
+    explain.setAttribute("aria-expanded", String(!description.hidden));
+  };
+  const shown = element("div", { className: "parameter" },
+    element("div", { className: "row" }, element("label", { textContent: name, htmlFor: `p-${name}` }), explain),
+    description, row, refused);
   shown.dataset.name = name;
   let last = parameter.value;
   const set = (value) => {
