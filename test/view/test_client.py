@@ -94,6 +94,22 @@ def test_the_first_node_that_is_heard_is_looked_at_and_others_are_named(
     assert state.summary()["node"] == "/north/turbseg"
 
 
+def test_what_only_sounds_like_a_node_is_passed_over(
+    probe: Probe, state: ViewState, viewer: Viewer
+) -> None:
+    for name in ("camera driver", "segmenter", "", "/two//slashes"):
+        status = DiagnosticStatus(name=f"{name}: segmentation")
+        publisher = probe.advertise("/diagnostics", DiagnosticArray)
+        publisher.publish(DiagnosticArray(status=[status]))
+    node = PlayedNode(probe)
+    viewer.watch(True)
+    heard(probe, state, node, input_topic="no topic at all")
+    assert state.summary()["node"] == "/north/turbseg"
+    probe.spin(0.3)
+    node.say(input_topic="/camera/image")
+    camera(probe, viewer)
+
+
 def test_images_are_received_only_while_somebody_looks(
     probe: Probe, state: ViewState, viewer: Viewer
 ) -> None:

@@ -104,3 +104,15 @@ def test_a_trail_on_a_calibrated_cameras_plane_is_not_taken_for_pixels() -> None
     assert joined is not None
     assert joined.objects[0].trail == ()
     assert joined.objects[0].size == BOXES[3][2:]
+
+
+def test_corners_that_are_nowhere_are_left_out() -> None:
+    markers, annotations = messages(result())
+    annotations.points[0].x = float("nan")
+    joiner = ResultJoiner()
+    joiner.add_markers(markers)
+    joined = joiner.add_annotations(annotations)
+    assert joined is not None
+    corners = [c for each in joined.objects for outline in each.outlines for c in outline]
+    assert corners and np.isfinite(corners).all()
+    assert all(each.size is not None for each in joined.objects)

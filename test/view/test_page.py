@@ -279,6 +279,16 @@ def test_in_a_browser_a_slider_sets_its_parameter_and_a_refusal_is_shown(
     assert tab.evaluate(number) == chosen
 
 
+def test_in_a_browser_the_cameras_state_is_shown_where_the_node_tells_it(
+    tab: browser.Page, scene: Scene
+) -> None:
+    open_page(tab, scene, 1280, 860, False)
+    told = "HANDLERS.summary({...lastSummary, points: [], figures: {camera: 'still'}})"
+    shown = "[$('camera').hidden, $('camera').textContent]"
+    # At once, before the node's next summary.
+    assert tab.evaluate(f"{told}; {shown}") == [False, "camera still"]
+
+
 def press(tab: browser.Page, x: float, y: float, *further: tuple[float, float]) -> None:
     """Press the mouse at a place of the picture, in fractions, and let it go, maybe elsewhere."""
     left, top, width, height = tab.evaluate(
@@ -314,6 +324,14 @@ def touch(tab: browser.Page, x: float, y: float) -> None:
     tab.call("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
 
 
+TINT_AT = """(() => {
+    const { width, height } = $('canvas');
+    const pen = $('canvas').getContext('2d');
+    const [red, green] = pen.getImageData(%f * width, %f * height, 1, 1).data;
+    return red - green;
+})()"""
+
+
 def saved_regions(scene: Scene) -> list[dict[str, Any]]:
     path = scene.folder / "regions.yaml"
     return list(yaml.safe_load(path.read_text())["regions"]) if path.exists() else []
@@ -324,6 +342,9 @@ def test_in_a_browser_regions_are_drawn_saved_and_deleted(tab: browser.Page, sce
     tab.evaluate("$('ignore').click()")
     press(tab, 0.1, 0.1, (0.2, 0.2), (0.4, 0.3))
     assert tab.evaluate("state.regions.length") == 1
+    # The camera is grey, and what is ignored is tinted red: from edge to edge.
+    tints = [tab.evaluate(TINT_AT % place) for place in ((0.085, 0.2), (0.115, 0.2), (0.385, 0.2))]
+    assert tints[0] < 10 < min(tints[1:])
     tab.resize(360, 740)
     tab.call("Emulation.setTouchEmulationEnabled", enabled=True)
     tab.evaluate("$('include').click(); window.scrollTo(0, 0)")

@@ -11,9 +11,11 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.clock import Clock, ClockType
 from rclpy.context import Context
+from rclpy.exceptions import InvalidTopicNameException
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
+from rclpy.validate_full_topic_name import validate_full_topic_name
 from sensor_msgs.msg import CompressedImage, Image
 from visualization_msgs.msg import ImageMarker, MarkerArray
 
@@ -169,6 +171,8 @@ class Viewer(Node):  # type: ignore[misc]  # rclpy is read as untyped
             if not status.name.endswith(_STATUS_SUFFIX):
                 continue
             name = status.name.removesuffix(_STATUS_SUFFIX)
+            if not _is_name(name):
+                continue  # of something else that is called so
             if not self._name:
                 self._follow(name)
             if name != self._name:
@@ -176,6 +180,8 @@ class Viewer(Node):  # type: ignore[misc]  # rclpy is read as untyped
                 continue
             figures = {value.key: value.value for value in status.values}
             topic = figures.get("input topic", "")
+            if not _is_name(topic):
+                topic = ""
             if topic != self._input_topic:
                 self._input_topic, self._draws_overlay = topic, False
             level = _LEVELS.get(status.level, "error")
@@ -220,6 +226,15 @@ class Viewer(Node):  # type: ignore[misc]  # rclpy is read as untyped
             self._pictures.add(frame.stamp, picture)
         else:
             self._show(picture, result)
+
+
+def _is_name(name: str) -> bool:
+    """Whether it can be the full name of a node or topic."""
+    try:
+        validate_full_topic_name(name)
+    except InvalidTopicNameException:
+        return False
+    return True
 
 
 def _hand_on(answer: Future[str], done: Future[str]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
@@ -78,7 +79,7 @@ def _tracks(markers: Iterable[Marker]) -> list[_Track]:
         if marker.ns == "id" and (found := _SPEED.search(marker.text)):
             track.speed = float(found[1])
         # On the unit-depth plane of a calibrated camera z is 1: these are no pixels.
-        if marker.ns == "trail" and all(point.z == 0.0 for point in marker.points):
+        if marker.ns == "trail" and all(p.z == 0.0 and _is_place(p) for p in marker.points):
             track.trail = tuple((point.x, point.y) for point in marker.points)
     return list(tracks.values())
 
@@ -89,11 +90,19 @@ def _outlines(
     """Yield closed outlines with their colours; in the message they are single lines."""
     ends = iter(points)
     corners: list[tuple[float, float]] = []
+    current = ""
     for (start, end), colour in zip(zip(ends, ends, strict=False), colours, strict=False):
-        corners.append((start.x, start.y))
-        if (end.x, end.y) == corners[0]:
-            yield _hex(colour), tuple(corners)
+        if corners and _hex(colour) != current:
+            yield current, tuple(corners)
             corners = []
+        current = _hex(colour)
+        if _is_place(start):
+            corners.append((start.x, start.y))
+        if corners and (end.x, end.y) == corners[0]:
+            yield current, tuple(corners)
+            corners = []
+    if corners:
+        yield current, tuple(corners)
 
 
 def _shown(tracks: list[_Track], outlines: list[tuple[str, Polygon]]) -> Iterator[ShownObject]:
@@ -110,6 +119,11 @@ def _shown(tracks: list[_Track], outlines: list[tuple[str, Polygon]]) -> Iterato
         yield ShownObject(
             track.id, track.colour, tuple(of_object[number]), track.trail, track.speed
         )
+
+
+def _is_place(point: Point) -> bool:
+    """Whether its numbers are such as JSON can hold."""
+    return math.isfinite(point.x) and math.isfinite(point.y)
 
 
 def _hex(colour: ColorRGBA) -> str:

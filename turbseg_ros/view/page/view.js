@@ -136,9 +136,9 @@ function duration(seconds) {
 /* The picture */
 
 async function showPicture(data) {
-  const length = new DataView(data).getUint32(0);
-  const header = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, length)));
   try {
+    const length = new DataView(data).getUint32(0);
+    const header = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, length)));
     const blob = new Blob([new Uint8Array(data, 4 + length)], { type: "image/jpeg" });
     const bitmap = await createImageBitmap(blob);
     state.bitmap?.close();
