@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -11,6 +12,7 @@ import pytest
 from support.drawn_bag import write_drawn_bag
 from support.drawn_clip import CLIP, PARAMETERS, frames
 from turbseg_ros.factory import motion_segmenter, strategies
+from turbseg_ros.learning.pretrained import SHIPPED
 from turbseg_ros.parameters import ParameterError, Parameters
 from turbseg_ros.segmentation.kmeans_ids import KMeansIds
 from turbseg_ros.segmentation.motion import SampsonMotion
@@ -130,3 +132,16 @@ def test_a_class_that_cannot_be_had_is_one_line(own: Path, name: str, text: str)
     assert str(error.value).startswith(f"parameter motion.measure is {name}")
     assert text in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_a_network_of_ones_own_draws_the_outlines(tmp_path: Path) -> None:
+    own = tmp_path / "own.onnx"
+    shutil.copy(SHIPPED, own)
+    with motion_segmenter(Parameters().replace({"refine.weights": str(own)})):
+        own.unlink()
+    with pytest.raises(ParameterError) as error:
+        strategies(Parameters().replace({"refine.weights": str(own)}))
+    assert str(error.value) == f"refine.weights {own}: no such file; turbseg_train makes one"
+    strategies(
+        Parameters().replace({"refine.weights": str(own), "refine.mode": "none"})
+    ).flow.close()

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import cv2
 
-from turbseg_ros.learning.torch_import import require_torch
+from turbseg_ros.learning.torch_import import NetworkError, require_torch
 from turbseg_ros.parameters import ParameterError, Parameters
 from turbseg_ros.region_file import marked_regions
 from turbseg_ros.segmentation.average import MeanAverage, SlopeAverage
@@ -170,10 +170,16 @@ def _raft_flow(backend: str, weights: str, device: str) -> FlowBackend:
     return RaftFlow(backend, Path(weights) if weights else None, device)
 
 
-def _pretrained_refiner(_: Parameters) -> Refiner:
-    from turbseg_ros.learning.pretrained import PretrainedRefiner
+def _pretrained_refiner(parameters: Parameters) -> Refiner:
+    from turbseg_ros.learning.pretrained import SHIPPED, PretrainedRefiner
 
-    return PretrainedRefiner()
+    weights = parameters.refine.weights
+    if not weights:
+        return PretrainedRefiner(SHIPPED)
+    try:
+        return PretrainedRefiner(Path(weights))
+    except NetworkError as error:
+        raise NetworkError(f"refine.weights {error}") from error
 
 
 _AVERAGES: Choices = {"slope": _slope, "mean": _mean}

@@ -164,6 +164,7 @@ _RAFT: UsedWhen = {"flow.backend": ("raft_small", "raft_large")}
 _DIS: UsedWhen = {"flow.backend": ("dis",)}
 _BACKGROUND: UsedWhen = {"outline.method": ("background",)}
 _KALMAN: UsedWhen = {"tracking.mode": ("kalman",)}
+_PRETRAINED: UsedWhen = {"outline.method": ("background",), "refine.mode": ("pretrained",)}
 _FITTED_TO_CLIP: UsedWhen = {"refine.mode": ("optimise",)}
 
 
@@ -414,6 +415,13 @@ class RefineParameters:
         choices=("none", "pretrained", "optimise"),
         read_only=True,
         extensible=True,
+    )
+    weights: str = parameter(
+        "",
+        "File with a network for pretrained, refine_net.onnx of turbseg_train; empty: the one "
+        "that comes with the package.",
+        read_only=True,
+        used_when=_PRETRAINED,
     )
     epochs: int = parameter(
         25,

@@ -8,19 +8,24 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
+
+from support.drawn_footage import DrawnFootage
 
 pytest.importorskip("torch", reason="torch is not installed: make test-learning")
 
 from turbseg_ros.cli import train as cli
-from turbseg_ros.cli.train import main
+from turbseg_ros.cli.train import Lessons, main
 from turbseg_ros.learning import training
+from turbseg_ros.learning.composites import shown_clip
 from turbseg_ros.learning.examples import Examples
 from turbseg_ros.learning.refine_net import RefineNet
 from turbseg_ros.learning.training import HeldOut
 from turbseg_ros.learning.window_input import CHANNELS, SIDE
 
+GATHERED = cli.gathered
 STEPS = 40
 ARGUMENTS = ["--scenes", "2", "--steps", str(STEPS)]
 
@@ -33,7 +38,7 @@ def examples() -> Examples:
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     def train(
-        examples: Examples, seed: int, steps: int, report_every: int
+        examples: Examples, seed: int, steps: int, report_every: int, start: RefineNet | None
     ) -> Iterator[tuple[float, RefineNet]]:
         net = RefineNet(len(CHANNELS))
         for step in range(report_every, steps + 1, report_every):
@@ -41,7 +46,8 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
                 signal.raise_signal(signal.SIGTERM)
             yield 0.5, net
 
-    monkeypatch.setattr(cli, "_examples", lambda *_: (examples(), examples()))
+    lessons = Lessons(examples(), examples(), Examples.joined([examples()]))
+    monkeypatch.setattr(cli, "gathered", lambda *_: lessons)
     monkeypatch.setattr(training, "train", train)
     monkeypatch.setattr(training, "held_out_scores", lambda *_: HeldOut(1, 0.5, 0.5, 0.0, 0.0))
 
@@ -62,13 +68,77 @@ def test_an_interrupted_training_keeps_the_network_as_it_is(
 def test_interrupted_while_scenes_are_rendered_nothing_is_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def interrupted(scenes: Any, frames: int, workers: int, stop: Any) -> None:
+    def interrupted(options: Any, scratch: Path, stop: Any) -> None:
         signal.raise_signal(signal.SIGINT)
         stop.check()
 
-    monkeypatch.setattr(cli, "_examples", interrupted)
+    monkeypatch.setattr(cli, "gathered", interrupted)
     with pytest.raises(SystemExit) as ended:
         main([*ARGUMENTS, "-o", str(tmp_path / "weights")])
     assert ended.value.code == 130
     assert list(tmp_path.iterdir()) == []
     assert capsys.readouterr().err == "turbseg_train: interrupted; nothing of it is kept\n"
+
+
+def test_folders_that_hold_no_footage_are_refused_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cli, "gathered", GATHERED)
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    for option in ("--backgrounds", "--objects", "--held-out"):
+        command = [*ARGUMENTS, "-o", str(tmp_path / "weights"), option, str(empty)]
+        assert main(command) == 2
+        said = capsys.readouterr().err
+        assert said == f"turbseg_train: {empty} holds no pictures, videos or sequences\n"
+
+
+def test_a_start_that_is_no_network_is_refused_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    start = tmp_path / "text.safetensors"
+    start.write_text("no network")
+    assert main([*ARGUMENTS, "-o", str(tmp_path / "weights"), "--start", str(start)]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith(f"turbseg_train: {start}: not a refining network's weights")
+    assert said.count("\n") == 1
+
+
+def test_composites_of_footage_are_learnt_from_and_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cli, "gathered", GATHERED)
+    footage = DrawnFootage(length=20)
+    for name, folder in (("objects", "one"), ("held", "other")):
+        for kind in ("frames", "masks"):
+            (tmp_path / name / folder / kind).mkdir(parents=True)
+        for number, (picture, mask) in enumerate(
+            zip(footage.pictures(0, 20), footage.masks(0, 20) or [], strict=True)
+        ):
+            sequence = tmp_path / name / folder
+            cv2.imwrite(str(sequence / "frames" / f"{number:03}.png"), picture)
+            cv2.imwrite(str(sequence / "masks" / f"{number:03}.png"), 255 * mask.astype(np.uint8))
+    still = Examples.joined([examples()])
+    monkeypatch.setattr(cli, "rendered_clip", lambda seed, frames: shown_clip(footage))
+    kept, held_out = tmp_path / "windows", tmp_path / "held"
+    command = [
+        *(*ARGUMENTS, "--composites", "2", "--frames", "16", "--windows", str(kept)),
+        *("--objects", str(tmp_path / "objects"), "--held-out", str(held_out)),
+    ]
+    assert main([*command, "-o", str(tmp_path / "weights")]) == 128 + signal.SIGTERM
+    record = json.loads((tmp_path / "weights" / "training.json").read_text())
+    assert record["windows"] > 0
+    assert record["curve"][0]["footage_j"] == 0.5
+    assert "--composites 2 --objects objects --held-out held -o OUT" in record["command"]
+    assert sorted(path.name for path in kept.iterdir()) == [
+        "composite_000000.npz",
+        "composite_000001.npz",
+        "footage_000000_held_out.npz",
+        "scene_000100_held_out.npz",
+        "scene_000101.npz",
+    ]
+    still.save(kept / "composite_000000.npz")
+    still.save(kept / "composite_000001.npz")
+    still.save(kept / "scene_000101.npz")
+    main([*command, "-o", str(tmp_path / "again")])
+    assert json.loads((tmp_path / "again" / "training.json").read_text())["windows"] == 3

@@ -30,7 +30,10 @@ def values_of(declaration: Declaration) -> st.SearchStrategy:
 
 
 # Texts that are no choice among some.
-FREE_TEXTS = ("flow.weights", "regions.file", "regions.ignore", "regions.include")
+FREE_TEXTS = (
+    *("flow.weights", "refine.weights"),
+    *("regions.file", "regions.ignore", "regions.include"),
+)
 MAPPINGS = st.fixed_dictionaries(
     {}, optional={name: values_of(declaration) for name, declaration in DECLARED.items()}
 )

@@ -1,4 +1,4 @@
-"""`turbseg_train`: scenes rendered, windows taken, Refine-Net trained and exported."""
+"""`turbseg_train`: clips made, windows taken, Refine-Net trained and exported."""
 
 from __future__ import annotations
 
@@ -6,15 +6,18 @@ import argparse
 import dataclasses
 import functools
 import json
+import shlex
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 
+from turbseg_ros.bag.errors import ClipError
 from turbseg_ros.cli.errors import (
     StopRequest,
     UsageError,
@@ -23,16 +26,87 @@ from turbseg_ros.cli.errors import (
     stopping_at_signals,
 )
 from turbseg_ros.cli.options import with_progress
-from turbseg_ros.cli.outputs import check_new
+from turbseg_ros.cli.outputs import check_folder, check_new
 from turbseg_ros.cli.parsers.train import build_parser
+from turbseg_ros.datasets.footage import backgrounds_in, objects_in
+from turbseg_ros.learning.composites import Material, composite_clip, shown_clip
 from turbseg_ros.learning.examples import Examples, examples_from, rendered_clip
 from turbseg_ros.learning.torch_import import require_torch
 from turbseg_ros.parameters import Parameters
 from turbseg_ros.worker_pool import WorkerPool
 
-# Every so many scenes, one is held out from training.
+if TYPE_CHECKING:
+    from turbseg_ros.learning.training import HeldOut
+
+# Every so many drawn scenes, one is held out from training.
 _HELD_OUT = 10
 _REPORTS = 20
+# Windows of held-out footage are taken from every so many frames.
+_HELD_OUT_STEP = 4
+
+
+@dataclass(frozen=True)
+class Lessons:
+    """Windows to train on, and those that show how training goes.
+
+    `held_out` are of drawn scenes, `footage` of what --held-out names.
+    """
+
+    trained_on: Examples
+    held_out: Examples
+    footage: Examples
+
+
+@dataclass(frozen=True)
+class _Task:
+    """A clip to be made: its kind ("scene", "composite", "footage"), and which."""
+
+    kind: str
+    number: int
+    held_out: bool
+
+    @property
+    def file_name(self) -> str:
+        return f"{self.kind}_{self.number:06}{'_held_out' if self.held_out else ''}.npz"
+
+
+@dataclass(frozen=True)
+class _Workshop:
+    """What the making of clips needs; it can be sent to another process."""
+
+    frames: int
+    every: int
+    material: Material
+    held_out: Material
+    windows: Path | None
+
+    def windows_of(self, task: _Task) -> Examples:
+        """Return a clip's windows: those of an earlier run, or else of the clip made now.
+
+        :raises ValueError: when an earlier run's file holds none.
+        """
+        if self.windows is None:
+            return self._made(task)
+        path = self.windows / task.file_name
+        if path.exists():
+            return Examples.load(path)
+        made = self._made(task)
+        made.save(path)
+        return made
+
+    def _made(self, task: _Task) -> Examples:
+        cv2.setNumThreads(1)
+        parameters = Parameters()
+        if task.kind == "footage":
+            footage = self.held_out.objects[task.number]
+            return examples_from(shown_clip(footage), parameters, _HELD_OUT_STEP)
+        if task.kind == "composite":
+            clip = composite_clip(task.number, self.frames, self.material)
+            return examples_from(clip, parameters, self.every, ruled=False)
+        scene = rendered_clip(task.number, self.frames)
+        if task.held_out:
+            return examples_from(scene, parameters)
+        return examples_from(scene, parameters, self.every, ruled=False)
 
 
 @executable("turbseg_train")
@@ -42,18 +116,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     require_torch("turbseg_train")
     check_new(options.out)
     if options.scenes < 2:
-        raise UsageError("--scenes 1: give 2 or more, for some are held out")
+        raise UsageError(f"--scenes {options.scenes}: give 2 or more, for some are held out")
+    if options.windows is not None:
+        check_folder(options.windows)
     options.out.parent.mkdir(parents=True, exist_ok=True)
     cv2.setNumThreads(1)
-    scenes = range(options.first_scene, options.first_scene + options.scenes)
     with (
         stopping_at_signals("turbseg_train") as stop,
         tempfile.TemporaryDirectory(dir=options.out.parent) as scratch,
     ):
-        trained_on, held_out = _examples(scenes, options.frames, options.workers, stop)
+        lessons = gathered(options, Path(scratch), stop)
         written = Path(scratch) / "weights"
         written.mkdir()
-        record = _train(options, trained_on, held_out, written, stop)
+        record = {"command": _command(options), **_train(options, lessons, written, stop)}
         (written / "training.json").write_text(json.dumps(record, indent=1) + "\n")
         written.rename(options.out)
     if stop.cut:
@@ -61,60 +136,93 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return stop.status
 
 
-def _examples(
-    scenes: Sequence[int], frames: int, workers: int, stop: StopRequest
-) -> tuple[Examples, Examples]:
-    """Render scenes and take their windows: those to train on, and those held out.
+def gathered(options: argparse.Namespace, scratch: Path, stop: StopRequest) -> Lessons:
+    """Make clips and take their windows.
 
     :raises Interrupted: when it is stopped: what would come of a part is another training.
+    :raises UsageError: when a folder doesn't hold what it should, or nothing moved.
     """
-    kept: list[Examples] = []
-    held: list[Examples] = []
-    with WorkerPool(workers) as pool:
-        taken = pool.run(functools.partial(_windows_of, frames=frames), scenes)
-        shown = with_progress(taken, "rendering", unit="scene", total=len(scenes))
-        for number, future in enumerate(shown):
-            stop.check()
-            try:
-                examples = future.result()
-            except BrokenProcessPool as error:
-                reason = f"scene {scenes[number]}: the process that rendered it died"
-                raise UsageError(f"{reason}; fewer --workers take less memory") from error
-            (held if number % _HELD_OUT == 0 else kept).append(examples)
-    trained_on, held_out = Examples.joined(kept), Examples.joined(held)
-    if not (len(trained_on) and len(held_out)):
-        raise UsageError(f"nothing moved in {len(scenes)} scenes; render more, or longer ones")
-    return trained_on, held_out
+    workshop = _workshop(options)
+    scenes = range(options.first_scene, options.first_scene + options.scenes)
+    drawn = [_Task("scene", each, place % _HELD_OUT == 0) for place, each in enumerate(scenes)]
+    first = options.first_composite
+    has_footage = workshop.material.backgrounds or workshop.material.objects
+    composites = range(first, first + options.composites if has_footage else first)
+    tasks = [*drawn, *(_Task("composite", each, False) for each in composites)]
+    held_out = [task for task in tasks if task.held_out]
+    footage = [_Task("footage", each, True) for each in range(len(workshop.held_out.objects))]
+    with WorkerPool(options.workers) as pool:
+        take = functools.partial(_windows, pool, workshop, stop)
+        parts: dict[str, Iterable[Examples]] = {
+            "trained_on": take([task for task in tasks if not task.held_out], "making clips"),
+            "held_out": take(held_out, "clips held out"),
+            "footage": take(footage, "footage held out"),
+        }
+        lessons = Lessons(**{name: _stored(each, scratch / name) for name, each in parts.items()})
+    if not (len(lessons.trained_on) and len(lessons.held_out)):
+        raise UsageError(f"nothing moved in {len(tasks)} clips; make more, or longer ones")
+    return lessons
 
 
-def _windows_of(scene: int, frames: int) -> Examples:
-    return examples_from(rendered_clip(scene, frames), Parameters())
+def _workshop(options: argparse.Namespace) -> _Workshop:
+    try:
+        material = Material(
+            backgrounds_in(options.backgrounds) if options.backgrounds else [],
+            objects_in(options.objects) if options.objects else [],
+        )
+        held_out = Material([], objects_in(options.held_out) if options.held_out else [])
+    except ClipError as error:
+        raise UsageError(str(error)) from error
+    return _Workshop(options.frames, options.every, material, held_out, options.windows)
+
+
+def _stored(parts: Iterable[Examples], folder: Path) -> Examples:
+    folder.mkdir()
+    return Examples.on_disk(parts, folder)
+
+
+def _windows(
+    pool: WorkerPool, workshop: _Workshop, stop: StopRequest, tasks: Sequence[_Task], title: str
+) -> Iterator[Examples]:
+    """Return the windows of each clip, in order."""
+    taken = pool.run(workshop.windows_of, tasks)
+    for task, future in zip(
+        tasks, with_progress(taken, title, unit="clip", total=len(tasks)), strict=True
+    ):
+        stop.check()
+        try:
+            yield future.result()
+        except BrokenProcessPool as error:
+            reason = f"{task.kind} {task.number}: the process that made it died"
+            raise UsageError(f"{reason}; fewer --workers take less memory") from error
+        except (ClipError, ValueError) as error:
+            raise UsageError(str(error)) from error
 
 
 def _train(
-    options: argparse.Namespace,
-    examples: Examples,
-    held_out: Examples,
-    folder: Path,
-    stop: StopRequest,
+    options: argparse.Namespace, lessons: Lessons, folder: Path, stop: StopRequest
 ) -> dict[str, Any]:
     """Train until stopped, show how it goes, and write the network; return the record of it."""
-    from turbseg_ros.learning.export import write_onnx, write_weights
+    from turbseg_ros.learning.export import read_weights, write_onnx, write_weights
     from turbseg_ros.learning.training import held_out_scores, train
 
     every = max(options.steps // _REPORTS, 1)
     curve: list[dict[str, float]] = []
-    reports = train(examples, options.seed, options.steps, report_every=every)
+    start = read_weights(options.start) if options.start else None
+    reports = train(
+        lessons.trained_on, options.seed, options.steps, report_every=every, start=start
+    )
     for number, (loss, net) in enumerate(reports, start=1):
-        scores = held_out_scores(net, held_out)
+        scores = held_out_scores(net, lessons.held_out)
         step = min(number * every, options.steps)
-        curve.append({"step": step, "loss": round(loss, 4), "held_out_j": round(scores.j, 4)})
-        print(
-            f"step {step:5}  loss {loss:.3f}  held-out J {scores.j:.3f}, by rules"
-            f" {scores.j_ruled:.3f}  alarms {scores.alarms:.2f}, by rules"
-            f" {scores.alarms_ruled:.2f}",
-            flush=True,
-        )
+        point = {"step": step, "loss": round(loss, 4), "held_out_j": round(scores.j, 4)}
+        told = f"step {step:5}  loss {loss:.3f}  held-out J {_told(scores)}"
+        seen = held_out_scores(net, lessons.footage) if len(lessons.footage) else None
+        if seen is not None:
+            point["footage_j"] = round(seen.j, 4)
+            told += f"; footage J {_told(seen)}"
+        curve.append(point)
+        print(told, flush=True)
         if stop.received and step < options.steps:
             stop.cut = True
             break
@@ -122,10 +230,34 @@ def _train(
     write_onnx(net, folder / "refine_net.onnx")
     write_weights(net, folder / "refine_net.safetensors")
     return {
-        "command": f"turbseg_train --first-scene {options.first_scene} --scenes {options.scenes}"
-        f" --frames {options.frames} --steps {options.steps} --seed {options.seed} -o OUT",
-        "windows": len(examples),
+        "windows": len(lessons.trained_on),
         "held_out": dataclasses.asdict(scores),
+        **({"footage": dataclasses.asdict(seen)} if seen is not None else {}),
         "curve": curve,
         **partial,
     }
+
+
+def _told(scores: HeldOut) -> str:
+    return (
+        f"{scores.j:.3f}, by rules {scores.j_ruled:.3f}  alarms {scores.alarms:.2f}, by rules"
+        f" {scores.alarms_ruled:.2f}"
+    )
+
+
+def _command(options: argparse.Namespace) -> str:
+    """Return the command line, with the names of folders and files but not where they lie."""
+    names = ["first_scene", "scenes", "frames", "every", "steps", "seed"]
+    if options.backgrounds or options.objects:
+        names += ["first_composite", "composites"]
+    said = ["turbseg_train"]
+    for name in names:
+        said += [_option(name), str(getattr(options, name))]
+    for name in ["backgrounds", "objects", "held_out", "start"]:
+        if (path := getattr(options, name)) is not None:
+            said += [_option(name), path.name]
+    return shlex.join([*said, "-o", "OUT"])
+
+
+def _option(name: str) -> str:
+    return "--" + name.replace("_", "-")

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from contextlib import ExitStack
+from dataclasses import dataclass, fields
+from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 import numpy.typing as npt
@@ -20,8 +23,8 @@ from turbseg_ros.simulation.render import render
 
 HalfMaps = npt.NDArray[np.float16]
 
-# Windows of every so many frames are kept, for neighbours are nearly alike.
-_STEP = 3
+STEP = 3
+"""Windows of every so many frames are kept, for neighbours are nearly alike."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +32,7 @@ class Examples:
     """Windows as the network sees them, and what is right.
 
     `inputs` is NxCHANNELSxSIDExSIDE; `truth`, the share of each pixel that objects cover, and
-    `ruled`, what the rules made of it, are NxSIDExSIDE.
+    `ruled`, what the rules made of it (0 where that wasn't asked for), are NxSIDExSIDE.
     """
 
     inputs: HalfMaps
@@ -49,18 +52,73 @@ class Examples:
             np.concatenate([part.ruled for part in parts]),
         )
 
+    @classmethod
+    def on_disk(cls, parts: Iterable[Examples], folder: Path) -> Examples:
+        """Put examples together in files, of which memory holds what is in use.
 
-def examples_from(clip: Iterable[tuple[Frame, Labels]], parameters: Parameters) -> Examples:
+        A window takes a quarter of a megabyte, so that tens of thousands fill a memory.
+
+        :param folder: where the files are made; they must not be there yet.
+        """
+        names = [each.name for each in fields(cls)]
+        count = 0
+        with ExitStack() as opened:
+            files = [opened.enter_context((folder / name).open("xb")) for name in names]
+            for part in parts:
+                count += len(part)
+                for name, file in zip(names, files, strict=True):
+                    np.ascontiguousarray(getattr(part, name)).tofile(file)
+        shapes = (count, len(CHANNELS), SIDE, SIDE), (count, SIDE, SIDE), (count, SIDE, SIDE)
+        if not count:
+            return cls(*(np.empty(shape, np.float16) for shape in shapes))
+        return cls(
+            *(
+                np.memmap(folder / name, np.float16, "r+", shape=shape)
+                for name, shape in zip(names, shapes, strict=True)
+            )
+        )
+
+    def save(self, path: Path) -> None:
+        """Write the examples to a file."""
+        part = path.with_name(f".{path.name}.part")
+        with part.open("wb") as file:
+            np.savez(file, inputs=self.inputs, truth=self.truth, ruled=self.ruled)
+        part.replace(path)
+
+    @classmethod
+    def load(cls, path: Path) -> Examples:
+        """Read examples that `save` wrote.
+
+        :raises ValueError: when the file is no such one, or of another kind of network input.
+        """
+        try:
+            with np.load(path) as held:
+                found = cls(held["inputs"], held["truth"], held["ruled"])
+        except (KeyError, OSError, ValueError, BadZipFile) as error:
+            raise ValueError(f"{path} holds no windows ({error})") from error
+        if found.inputs.shape[1:] != (len(CHANNELS), SIDE, SIDE):
+            raise ValueError(f"{path} holds windows of another kind: {found.inputs.shape[1:]}")
+        return found
+
+
+def examples_from(
+    clip: Iterable[tuple[Frame, Labels]],
+    parameters: Parameters,
+    step: int = STEP,
+    ruled: bool = True,
+) -> Examples:
     """Run the method by its rules over a clip and keep its windows.
 
     :param clip: frames with their labels, no wider than `resolution.detail`.
+    :param step: windows of every so many frames are kept.
+    :param ruled: whether it is kept what the rules make of them, which takes its time.
     """
     truth: dict[int, Labels] = {}
-    observer = _WindowKeeper(truth, parameters.outline.threshold)
+    observer = _WindowKeeper(truth, parameters.outline.threshold if ruled else None)
     by_rules = parameters.replace({"refine.mode": "none"})
     with motion_segmenter(by_rules, observer) as segmenter:
         for number, (frame, labels) in enumerate(clip):
-            if number % _STEP == 0:
+            if number % step == 0:
                 truth[frame.stamp] = labels
             segmenter.push(frame)
         segmenter.flush()
@@ -70,7 +128,7 @@ def examples_from(clip: Iterable[tuple[Frame, Labels]], parameters: Parameters) 
 class _WindowKeeper(StageObserver):
     """Keeps the windows of frames whose truth is known, with what the rules make of them."""
 
-    def __init__(self, truth: dict[int, Labels], threshold: float) -> None:
+    def __init__(self, truth: dict[int, Labels], threshold: float | None) -> None:
         self._truth = truth
         self._threshold = threshold
         self._kept: list[tuple[Map, Map, Map]] = []
@@ -88,6 +146,8 @@ class _WindowKeeper(StageObserver):
     def _ruled(self, crop: ObjectCrop) -> Map:
         """Return 1 within the outlines by rules, 0 without."""
         ruled = np.zeros(crop.box.shape, np.float32)
+        if self._threshold is None:
+            return ruled
         for outline in foreground_masks([crop], self._threshold):
             inside = outline.box.moved(-crop.box.x0, -crop.box.y0)
             ruled[inside.slices][outline.mask] = 1.0

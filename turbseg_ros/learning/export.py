@@ -8,9 +8,11 @@ from pathlib import Path
 
 import torch
 from onnx import ModelProto
-from safetensors.torch import save
+from safetensors import SafetensorError
+from safetensors.torch import load, save
 
 from turbseg_ros.learning.refine_net import RefineNet
+from turbseg_ros.learning.torch_import import NetworkError
 from turbseg_ros.learning.window_input import CHANNELS, SIDE
 
 
@@ -40,3 +42,19 @@ def without_notes(model: ModelProto) -> ModelProto:
 def write_weights(net: RefineNet, path: Path) -> None:
     """Write a network's weights as safetensors."""
     path.write_bytes(save(net.state_dict()))
+
+
+def read_weights(path: Path) -> RefineNet:
+    """Return the network whose weights `write_weights` wrote.
+
+    :raises NetworkError: when the file is missing or holds others.
+    """
+    net = RefineNet(len(CHANNELS))
+    try:
+        net.load_state_dict(load(path.read_bytes()))
+    except OSError as error:
+        raise NetworkError(f"{path}: {error.strerror or error}") from error
+    except (RuntimeError, SafetensorError) as error:
+        reason = str(error).splitlines()[0]
+        raise NetworkError(f"{path}: not a refining network's weights ({reason})") from error
+    return net

@@ -40,9 +40,9 @@ def random_scene(rng: np.random.Generator, frames: int) -> Scene:
         landscape="collage" if rng.random() < _COLLAGE else str(rng.choice(list(PAINTERS))),
         turbulence=Turbulence.typical(_log_uniform(rng, *_TILTS) * width / 432, width),
         objects=tuple(
-            _random_object(rng, number, width, height, frames) for number in range(1, count + 1)
+            random_object(rng, number, width, height, frames) for number in range(1, count + 1)
         ),
-        camera=_random_camera(rng, width),
+        camera=random_camera(rng, width),
         sensor=_random_sensor(rng, thermal),
         width=width,
         height=height,
@@ -51,9 +51,10 @@ def random_scene(rng: np.random.Generator, frames: int) -> Scene:
     )
 
 
-def _random_object(
+def random_object(
     rng: np.random.Generator, number: int, width: int, height: int, frames: int
 ) -> SceneObject:
+    """Draw an object of any kind, and its way through a picture of a size within some frames."""
     kind = "patchwork" if rng.random() < _PATCHWORK else str(rng.choice(list(KINDS)))
     size = _log_uniform(rng, *_SIZES) * width
     if kind == "person":
@@ -79,7 +80,8 @@ def _random_paint(rng: np.random.Generator) -> Colour:
     return float(blue), float(green), float(red)
 
 
-def _random_camera(rng: np.random.Generator, width: int) -> CameraMotion:
+def random_camera(rng: np.random.Generator, width: int) -> CameraMotion:
+    """Draw how a camera moves whose picture has a width."""
     scale = width / 864
     motion = rng.choice(["still", "shaking", "panning", "vibrating"], p=[0.4, 0.3, 0.2, 0.1])
     if motion == "shaking":

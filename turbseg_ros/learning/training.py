@@ -17,9 +17,14 @@ from turbseg_ros.learning.refine_net import RefineNet
 from turbseg_ros.learning.window_input import CHANNELS
 
 _PEAK_RATE = 3e-3
+# Of a network that knows something already, which would be lost at the other.
+_LATER_PEAK_RATE = 1.5e-3
 _WEIGHT_DECAY = 1e-3
 # Pixels that both halves of a Dice coefficient are smoothed by: an empty window counts little.
 _SMOOTHING = 40.0
+
+# Share of the steps that see windows so.
+_UPSIDE_DOWN, _ON_ITS_SIDE = 0.15, 0.15
 
 _MOVING, _CORE = CHANNELS.index("moving"), CHANNELS.index("core")
 _GREY, _CHANGE = CHANNELS.index("grey"), CHANNELS.index("change")
@@ -46,7 +51,8 @@ def loss_of(logits: Tensor, truth: Tensor) -> Tensor:
 def augmented(inputs: Tensor, truth: Tensor, random: torch.Generator) -> tuple[Tensor, Tensor]:
     """Vary what a camera, the air or the flow might have varied.
 
-    Windows are mirrored, shifted, stretched and turned a little; the picture gets another
+    Windows are mirrored, shifted, stretched and turned a little, some are upside down or lie on
+    their side, for things fly, fall and lean as they like; the picture gets another
     contrast and noise; the background gets less certain, or unknown in a part; the motion's smear
     is wider or narrower.
     """
@@ -89,7 +95,20 @@ def augmented(inputs: Tensor, truth: Tensor, random: torch.Generator) -> tuple[T
     for channel in (_MOVING, _CORE):
         radius = int(torch.randint(-3, 4, (1,), generator=random))
         inputs[:, [channel]] = _widened(inputs[:, [channel]], radius)
+    for axes, odds in (((2,), _UPSIDE_DOWN), ((2, 3), _ON_ITS_SIDE)):
+        if torch.rand(1, generator=random) < odds:
+            inputs, truth = _turned(inputs, axes), _turned(truth, axes)
     return inputs, truth
+
+
+def _turned(maps: Tensor, axes: tuple[int, ...]) -> Tensor:
+    """Return maps upside down, axis 2, or with rows and columns exchanged, axes 2 and 3."""
+    if len(axes) == 1:
+        return maps.flip(*axes)
+    turned = maps.transpose(*axes).contiguous()
+    if maps.shape[1] > 1:
+        turned[:, _SIZE] = turned[:, _SIZE[::-1]]
+    return turned
 
 
 def _blobs(count: int, shape: torch.Size, random: torch.Generator) -> Tensor:
@@ -151,17 +170,25 @@ def _mean(values: npt.NDArray[Any]) -> float:
 
 
 def train(
-    examples: Examples, seed: int, steps: int, batch: int = 16, report_every: int = 50
+    examples: Examples,
+    seed: int,
+    steps: int,
+    batch: int = 16,
+    report_every: int = 50,
+    start: RefineNet | None = None,
 ) -> Iterator[tuple[float, RefineNet]]:
-    """Train a network from nothing; every so many steps give the mean loss and how it stands.
+    """Train a network; every so many steps give the mean loss and how it stands.
 
     The same seed on the same machine gives the same network.
+
+    :param start: the network to go on with, which is changed; from nothing otherwise.
     """
     torch.manual_seed(seed)
     random = torch.Generator().manual_seed(seed)
-    net = RefineNet(len(CHANNELS))
-    optimiser = torch.optim.AdamW(net.parameters(), lr=_PEAK_RATE, weight_decay=_WEIGHT_DECAY)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, _PEAK_RATE, total_steps=steps)
+    net = RefineNet(len(CHANNELS)) if start is None else start
+    peak = _PEAK_RATE if start is None else _LATER_PEAK_RATE
+    optimiser = torch.optim.AdamW(net.parameters(), lr=peak, weight_decay=_WEIGHT_DECAY)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, peak, total_steps=steps)
     inputs, truth = torch.from_numpy(examples.inputs), torch.from_numpy(examples.truth)
     losses = []
     for step in range(1, steps + 1):
