@@ -113,6 +113,28 @@ def test_ablation_changes_one_thing_at_a_time(
     )
 
 
+def test_a_change_is_compared_with_how_it_was_configured(
+    bag: Path, tmp_path: Path, made: list[Parameters]
+) -> None:
+    changes = ["--compare", "flow.interval:=2", "--compare", "flow.interval:=5"]
+    content = evaluated(tmp_path / "out.json", bag, *changes, "-p", "max_objects:=3")
+    names = [row["variant"] for row in content["comparison"]]
+    assert names == ["as configured", "flow.interval 2", "flow.interval 5"]
+    assert content["comparison"][1]["parameters"] == {"flow.interval": 2}
+    assert j_of(content["comparison"][1:]) == pytest.approx([0.92, 0.8])
+    assert len(made) == 3
+
+
+def test_a_change_that_is_none_is_refused_in_one_line(
+    bag: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for change in ("flow.interval", "flow.intervall:=2", "flow.interval:=many"):
+        assert main([str(bag), "--compare", change]) == 2
+        said = capsys.readouterr().err
+        assert "flow.interval" in said
+        assert said.count("\n") == 1
+
+
 def test_sensitivity_halves_and_doubles_the_methods_numbers(
     bag: Path, tmp_path: Path, made: list[Parameters], capsys: pytest.CaptureFixture[str]
 ) -> None:

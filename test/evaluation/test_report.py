@@ -56,7 +56,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     stamps = [number * 33_000_000 for number in range(FRAMES)]
     bags = [write_drawn_bag(folder / name, stamps) for name in ("one", AWKWARD)]
     comparisons = ["--baselines", "mog2,knn", "--tilt-curve", "0,1,2"]
-    comparisons += ["--ablation", "--sensitivity"]
+    comparisons += ["--ablation", "--sensitivity", "--compare", "flow.interval:=2"]
     comparisons += ["--shake-curve", "0,1", "-p", "max_objects:=4"]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(baselines, "clip_segmenter", DarkAreas)
@@ -107,7 +107,7 @@ def test_the_page_is_one_file_that_refers_to_nothing_outside(page: Path) -> None
 
 def test_the_page_shows_every_experiment_and_picture(page: Path) -> None:
     text = page.read_text()
-    for key in ("baselines", "tilt_curve", "shake_curve", "ablation", "sensitivity"):
+    for key in ("baselines", "tilt_curve", "shake_curve", "ablation", "sensitivity", "comparison"):
         assert f'id="{key}"' in text
     # For each bag 6 tiles and the same frame by 5 segmenters; this method has no bad frames.
     assert text.count("<img") == 2 * (6 + 5)

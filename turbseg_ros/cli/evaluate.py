@@ -18,6 +18,7 @@ from turbseg_ros.cli.errors import Interrupted, UsageError, executable, interrup
 from turbseg_ros.cli.memory import keep_large_buffers
 from turbseg_ros.cli.options import (
     parameters_from,
+    parsed_override,
     section_from,
     with_progress,
 )
@@ -44,6 +45,7 @@ from turbseg_ros.evaluation.experiments import (
     ScoredExperiment,
     ablation,
     against_baselines,
+    comparison,
     sensitivity,
     shake_curve,
     text_table,
@@ -65,7 +67,10 @@ from turbseg_ros.parameters import Parameters
 from turbseg_ros.worker_pool import WorkerPool
 
 _METHOD = "turbseg"
-_EXPERIMENTS = ("baselines", "ablation", "sensitivity", "tilt_curve", "shake_curve")
+_EXPERIMENTS = (
+    *("baselines", "compare", "ablation", "sensitivity"),
+    *("tilt_curve", "shake_curve"),
+)
 # With more runs than this, what is ahead is said.
 _FEW_RUNS = 2
 
@@ -245,6 +250,9 @@ def _experiments(
         experiments.append(tilt_curve(runs, methods, options.tilt_curve, options.seed))
     if options.shake_curve:
         experiments.append(shake_curve(runs, methods, options.shake_curve, options.seed))
+    if options.compare:
+        changes = [dict([parsed_override(each)]) for each in options.compare]
+        experiments.append(comparison(runs, parameters, changes))
     if options.ablation:
         experiments.append(ablation(runs, parameters))
     if options.sensitivity:

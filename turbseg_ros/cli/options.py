@@ -86,7 +86,7 @@ def parameters_from(options: argparse.Namespace) -> Parameters:
         from turbseg_ros.parameter_file import load_parameters
 
         parameters = load_parameters(options.params_file, options.node)
-    overrides = dict(_parsed(override) for override in options.overrides)
+    overrides = dict(parsed_override(override) for override in options.overrides)
     parameters = parameters.replace(overrides)
     idle = parameters.idle(replayed=True)
     of_node_only = [line for name, line in idle.items() if name in overrides]
@@ -117,7 +117,11 @@ def with_progress(
         )
 
 
-def _parsed(override: str) -> tuple[str, object]:
+def parsed_override(override: str) -> tuple[str, object]:
+    """Return the parameter's name, and the value, that NAME:=VALUE gives.
+
+    :raises ParameterError: when it isn't one.
+    """
     from turbseg_ros.parameter_file import parsed
 
     name, separator, value = override.partition(":=")

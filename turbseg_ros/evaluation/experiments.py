@@ -86,6 +86,21 @@ def ablation(runs: Sequence[Run], parameters: Parameters) -> Experiment:
     return _of_variants("ablation", runs, parameters, VARIANTS)
 
 
+def comparison(
+    runs: Sequence[Run], parameters: Parameters, changes: Sequence[Mapping[str, object]]
+) -> Experiment:
+    """Hold the method of `runs` against itself with parameters changed, each change by itself.
+
+    :raises ParameterError: when a parameter doesn't exist or its value is refused.
+    """
+    variants: dict[str, Mapping[str, Value]] = {"as configured": {}}
+    for change in changes:
+        values = parameters.replace(change).as_mapping()
+        name = ", ".join(f"{each} {values[each]}" for each in change)
+        variants[name] = {each: values[each] for each in change}
+    return _of_variants("comparison", runs, parameters, variants)
+
+
 def sensitivity(runs: Sequence[Run], parameters: Parameters) -> Experiment:
     """Halve and double each number among the method's parameters, on the bags of `runs`.
 

@@ -112,6 +112,12 @@ def _add_comparisons(parser: argparse.ArgumentParser) -> None:
         help="J under added shake: rms step an axis from frame to frame, as 0,1,2,4",
     )
     group.add_argument(
+        "--compare",
+        action="append",
+        metavar="NAME:=VALUE",
+        help="the method with this parameter changed, beside as configured; may be repeated",
+    )
+    group.add_argument(
         "--ablation", action="store_true", help="the method with one thing changed at a time"
     )
     group.add_argument(
