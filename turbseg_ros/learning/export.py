@@ -41,7 +41,9 @@ def without_notes(model: ModelProto) -> ModelProto:
 
 def write_weights(net: RefineNet, path: Path) -> None:
     """Write a network's weights as safetensors."""
-    path.write_bytes(save(net.state_dict()))
+    # In training, channels are last in memory.
+    weights = {name: value.contiguous() for name, value in net.state_dict().items()}
+    path.write_bytes(save(weights))
 
 
 def read_weights(path: Path) -> RefineNet:
