@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING, Any
 
 import cv2
 
-from turbseg_ros.bag.errors import ClipError
+from turbseg_ros.bag.errors import BagError, ClipError
+from turbseg_ros.cli.bag_footage import backgrounds_in, objects_in
 from turbseg_ros.cli.errors import (
     StopRequest,
     UsageError,
@@ -28,7 +29,6 @@ from turbseg_ros.cli.errors import (
 from turbseg_ros.cli.options import with_progress
 from turbseg_ros.cli.outputs import check_folder, check_new
 from turbseg_ros.cli.parsers.train import build_parser
-from turbseg_ros.datasets.footage import backgrounds_in, objects_in
 from turbseg_ros.learning.composites import Material, composite_clip, shown_clip
 from turbseg_ros.learning.examples import Examples, examples_from, rendered_clip
 from turbseg_ros.learning.torch_import import require_torch
@@ -165,14 +165,8 @@ def gathered(options: argparse.Namespace, scratch: Path, stop: StopRequest) -> L
 
 
 def _workshop(options: argparse.Namespace) -> _Workshop:
-    try:
-        material = Material(
-            backgrounds_in(options.backgrounds) if options.backgrounds else [],
-            objects_in(options.objects) if options.objects else [],
-        )
-        held_out = Material([], objects_in(options.held_out) if options.held_out else [])
-    except ClipError as error:
-        raise UsageError(str(error)) from error
+    material = Material(backgrounds_in(options.backgrounds), objects_in(options.objects))
+    held_out = Material([], objects_in(options.held_out))
     return _Workshop(options.frames, options.every, material, held_out, options.windows)
 
 
@@ -195,7 +189,7 @@ def _windows(
         except BrokenProcessPool as error:
             reason = f"{task.kind} {task.number}: the process that made it died"
             raise UsageError(f"{reason}; fewer --workers take less memory") from error
-        except (ClipError, ValueError) as error:
+        except (BagError, ClipError, ValueError) as error:
             raise UsageError(str(error)) from error
 
 

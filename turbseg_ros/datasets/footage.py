@@ -1,4 +1,4 @@
-"""Folders of pictures, videos and sequences with masks, as footage that composites are made of."""
+"""Pictures, videos and sequences with masks, as footage that composites are made of."""
 
 from __future__ import annotations
 
@@ -28,12 +28,17 @@ class ClipFootage:
     clip: Clip
     length: int
 
+    @property
+    def has_masks(self) -> bool:
+        """Whether it is known what moves."""
+        return self.clip.masks is not None
+
     def pictures(self, first: int, count: int) -> list[ByteImage]:
         """Return so many frames from the `first` on, HxWx3 (BGR) each, of 8 bits.
 
         :raises ClipError: when one can't be read.
         """
-        return [_picture(image) for image in _read(self.clip.frames, first, count)]
+        return [as_picture(image) for image in _read(self.clip.frames, first, count)]
 
     def masks(self, first: int, count: int) -> list[Mask] | None:
         """Return what moves in them, HxW each; None where that isn't known.
@@ -42,30 +47,14 @@ class ClipFootage:
         """
         if self.clip.masks is None:
             return None
-        return [_mask(image) for image in _read(self.clip.masks, first, count)]
+        return [as_mask(image) for image in _read(self.clip.masks, first, count)]
 
 
-def backgrounds_in(folder: Path) -> list[ClipFootage]:
-    """Return each picture, video and sequence in a folder by itself, sorted by name.
+def sources_in(folder: Path) -> list[Path]:
+    """Return the pictures, videos and folders in a folder, sorted by name.
 
-    :raises ClipError: when there is none, or one can't be read.
+    :raises ClipError: when there are none.
     """
-    return [_footage(source) for source in _sources(folder)]
-
-
-def objects_in(folder: Path) -> list[ClipFootage]:
-    """Return the sequences in a folder that have masks, sorted by name: see `find_clip`.
-
-    :raises ClipError: when there is none, or one can't be read or has no masks.
-    """
-    found = [_footage(source) for source in _sources(folder)]
-    for each, source in zip(found, _sources(folder), strict=True):
-        if each.clip.masks is None:
-            raise ClipError(f"{source} has no masks, so nothing can be cut out of it")
-    return found
-
-
-def _sources(folder: Path) -> list[Path]:
     if not folder.is_dir():
         raise ClipError(f"no such folder: {folder}")
     sources = [
@@ -79,7 +68,11 @@ def _sources(folder: Path) -> list[Path]:
     return sources
 
 
-def _footage(source: Path) -> ClipFootage:
+def clip_footage(source: Path) -> ClipFootage:
+    """Return a picture, a video or a sequence as footage; see `find_clip`.
+
+    :raises ClipError: when it can't be read.
+    """
     clip = find_clip(source)
     return ClipFootage(clip, clip.frames.count())
 
@@ -92,8 +85,8 @@ def _read(frames: VideoFile | ImageFolder, first: int, count: int) -> Iterator[I
     return itertools.islice(iter(frames), first, first + count)
 
 
-def _picture(image: Image) -> ByteImage:
-    """Bring a frame to three channels of 8 bits, and no more pixels than are of use."""
+def as_picture(image: Image) -> ByteImage:
+    """Return a frame, HxW or HxWx3 of any depth, as HxWx3 of 8 bits and no larger than of use."""
     if image.dtype != np.uint8:
         top = max(float(image.max(initial=0)), 1.0)
         image = (image * (255.0 / top)).astype(np.uint8)
@@ -103,8 +96,8 @@ def _picture(image: Image) -> ByteImage:
     return image if image.ndim == 3 else np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
 
 
-def _mask(image: Image) -> Mask:
-    """Tell what moves, at the size that pictures are brought to."""
+def as_mask(image: Image) -> Mask:
+    """Return where a mask isn't 0, HxW, at the size that pictures are brought to."""
     mask = np.asarray(np.atleast_3d(image).max(axis=2) > 0, np.bool_)
     scale = _LARGEST / max(mask.shape)
     if scale < 1:

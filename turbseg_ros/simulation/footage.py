@@ -30,6 +30,10 @@ class Footage(Protocol):
     def length(self) -> int:
         """The number of frames."""
 
+    @property
+    def has_masks(self) -> bool:
+        """Whether it is known what moves."""
+
     def pictures(self, first: int, count: int) -> list[ByteImage]:
         """Return so many frames from the `first` on, HxWx3 (BGR) each."""
 

@@ -1,4 +1,4 @@
-"""Folders as footage for composites."""
+"""Folders and bags as footage for composites."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
-from turbseg_ros.bag.errors import ClipError
-from turbseg_ros.datasets.footage import backgrounds_in, objects_in
+from support.drawn_bag import write_drawn_bag
+from turbseg_ros.cli.bag_footage import backgrounds_in, objects_in
+from turbseg_ros.cli.errors import UsageError
 
 SHAPE = (24, 32)
 
@@ -66,10 +67,23 @@ def test_large_pictures_are_shrunk(tmp_path: Path) -> None:
 
 def test_folders_that_hold_nothing_of_use_are_refused(tmp_path: Path) -> None:
     for make in (backgrounds_in, objects_in):
-        with pytest.raises(ClipError, match="no such folder"):
+        with pytest.raises(UsageError, match="no such folder"):
             make(tmp_path / "missing")
-        with pytest.raises(ClipError, match="holds no pictures"):
+        with pytest.raises(UsageError, match="holds no pictures"):
             make(tmp_path)
     numbered(tmp_path / "walk", 3)
-    with pytest.raises(ClipError, match="no masks"):
+    with pytest.raises(UsageError, match="no masks"):
         objects_in(tmp_path)
+
+
+def test_bags_are_read_with_their_truth(tmp_path: Path) -> None:
+    write_drawn_bag(tmp_path / "drive", [number * 33_000_000 for number in range(1, 5)])
+    (drive,) = objects_in(tmp_path)
+    assert drive.length == 4
+    masks, pictures = drive.masks(1, 2), drive.pictures(1, 2)
+    assert masks is not None
+    assert len(masks) == len(pictures) == 2
+    for mask, picture in zip(masks, pictures, strict=True):
+        assert picture.shape == (*mask.shape, 3)
+        assert mask.any()
+        assert not mask.all()
