@@ -5,12 +5,11 @@ from __future__ import annotations
 import pytest
 from sensor_msgs.msg import Image
 
+from support.result_topics import fresh_outputs
 from turbseg_ros.bag.topics import is_result
-from turbseg_ros.messages.results import CentroidMarkers, outputs, views
+from turbseg_ros.messages.results import views
 
-PUBLISHED = [
-    output.name for output in (*outputs(1, CentroidMarkers()), *views()) if output.type is Image
-]
+PUBLISHED = [output.name for output in (*fresh_outputs(1), *views()) if output.type is Image]
 
 
 @pytest.mark.parametrize("name", PUBLISHED)

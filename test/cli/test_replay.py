@@ -30,9 +30,9 @@ from turbseg_ros.evaluation import baselines
 from turbseg_ros.evaluation.labels import read_labels
 from turbseg_ros.messages.images import message_from_image
 from turbseg_ros.messages.results import (
-    CentroidMarkers,
     Output,
     annotations_message,
+    one,
     outputs,
     views,
 )
@@ -131,6 +131,7 @@ def test_result_bag_holds_the_topics_of_the_node(bag: Path, tmp_path: Path) -> N
         "/turbseg/mask": 8,
         "/turbseg/centroids": 8,
         "/turbseg/annotations": 8,
+        "/turbseg/events": 1,
         # From the first frame with an object on, and also when it is gone.
         "/turbseg/objects/slot_1/mask": 6,
         "/diagnostics": 1,
@@ -191,10 +192,10 @@ def test_an_output_that_fails_takes_no_other_along(
             raise ValueError("no outline today")
         return annotations_message(result)
 
-    def with_broken(max_objects: int, markers: CentroidMarkers) -> tuple[Output, ...]:
+    def with_broken(*given: Any) -> tuple[Output, ...]:
         return tuple(
-            replace(output, build=broken) if output.name == "annotations" else output
-            for output in outputs(max_objects, markers)
+            replace(output, build=one(broken)) if output.name == "annotations" else output
+            for output in outputs(*given)
         )
 
     monkeypatch.setattr(replay, "outputs", with_broken)
@@ -206,6 +207,7 @@ def test_an_output_that_fails_takes_no_other_along(
         "/turbseg/mask": 8,
         "/turbseg/centroids": 8,
         "/turbseg/annotations": 4,
+        "/turbseg/events": 1,
         "/turbseg/objects/slot_1/mask": 6,
         "/diagnostics": 1,
     }

@@ -149,14 +149,13 @@ def test_another_shape_is_another_view() -> None:
 
 def test_markers_end_when_told_or_left_alone() -> None:
     markers = CentroidMarkers()
-    assert markers.removal(result().frame) is None
+    assert not markers.removal(result().frame)
     shown = markers.message(result(period=0.5)).markers
     assert {marker.lifetime.sec for marker in shown} == {6}
-    removed = markers.removal(result().frame)
-    assert removed is not None
+    (removed,) = markers.removal(result().frame)
     assert {m.action for m in removed.markers} == {Marker.DELETE}
     assert {(m.ns, m.id) for m in removed.markers} == {(m.ns, m.id) for m in shown}
-    assert markers.removal(result().frame) is None
+    assert not markers.removal(result().frame)
     outlines = annotations_message(result(period=0.01))
     assert outlines.lifetime.sec == 2
     removal = annotations_removal(result().frame)

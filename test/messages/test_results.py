@@ -14,6 +14,7 @@ from sensor_msgs.msg import CameraInfo
 from sensor_msgs.msg import Image as ImageMessage
 from visualization_msgs.msg import ImageMarker, Marker
 
+from support.result_topics import fresh_outputs
 from turbseg_ros.messages.images import image_from_message
 from turbseg_ros.messages.results import (
     CentroidMarkers,
@@ -25,7 +26,6 @@ from turbseg_ros.messages.results import (
     labels_message,
     mask_message,
     motion_message,
-    outputs,
     slot_mask_message,
     views,
 )
@@ -98,12 +98,12 @@ def test_every_message_comes_back_from_serialisation_as_it_went(
     whole_numbers: bool, calibrated: bool
 ) -> None:
     plane = UnitDepthPlane.from_camera_info(camera_info()) if calibrated else None
-    every = (*outputs(3, CentroidMarkers(plane)), *views())
+    every = (*fresh_outputs(3, plane), *views())
     for result in (moving_result(whole_numbers), drawn_result()):
         for output in every:
-            message = output.build(result)
-            received = deserialize_message(serialize_message(message), output.type)
-            assert_alike(received, message, output.name)
+            for message in output.build(result):
+                received = deserialize_message(serialize_message(message), output.type)
+                assert_alike(received, message, output.name)
 
 
 def assert_alike(received: Any, sent: Any, name: str) -> None:
@@ -123,10 +123,22 @@ def assert_alike(received: Any, sent: Any, name: str) -> None:
 
 def test_all_messages_carry_the_frame_header() -> None:
     result = drawn_result((5, 5, 10, 8))
-    for output in (*outputs(3, CentroidMarkers()), *views()):
-        message = output.build(result)
-        headed = message.markers[0] if output.name == "centroids" else message
-        assert headed.header == header_of(result.frame), output.name
+    for output in (*fresh_outputs(3), *views()):
+        messages = output.build(result)
+        assert messages, output.name
+        for message in messages:
+            if output.name == "events":
+                assert message.hardware_id == result.frame.frame_id
+                continue
+            headed = message.markers[0] if output.name == "centroids" else message
+            assert headed.header == header_of(result.frame), output.name
+
+
+def test_topics_have_one_message_a_frame_or_say_that_they_may_not() -> None:
+    every = (*fresh_outputs(3), *views())
+    counts = {output.name: len(output.build(drawn_result())) for output in every}
+    assert {name for name, count in counts.items() if count != 1} == {"events"}
+    assert {output.name for output in every if not output.every_frame} == {"events"}
 
 
 def test_labels_keep_ids_and_size() -> None:
@@ -156,8 +168,9 @@ def test_the_smallest_pictures_have_masks(shape: tuple[int, int]) -> None:
     result = SegmentationResult(frame, labels, (found,), motion, 0.1, "affine")
     for message in (mask_message(result), slot_mask_message(result, 0)):
         assert (pixels_of(message, np.uint8) == 255).all()
-    for output in (*outputs(1, CentroidMarkers()), *views()):
-        serialize_message(output.build(result))
+    for output in (*fresh_outputs(1), *views()):
+        for message in output.build(result):
+            serialize_message(message)
 
 
 def test_after_65535_objects_masks_and_outlines_follow_the_label() -> None:

@@ -172,7 +172,7 @@ def test_the_log_tells_of_start_first_image_enable_and_reset(tmp_path, probe):
         assert "latency mode centred" in begun
         camera = Camera(probe, "/told_lens/image_raw", rate=30.0)
         send_until(probe, camera, lambda: "first image: 160x120 'mono8'" in node.output)
-        send_until(probe, camera, lambda: "object 1 appeared at (" in node.output)
+        send_until(probe, camera, lambda: "object 1 entered at (" in node.output)
         for wanted, told in ((False, "disabled"), (True, "enabled")):
             probe.call("/told/turbseg/enable", SetBool, SetBool.Request(data=wanted))
             probe.wait_for(lambda told=told: lines(node, f": {told}"), told)

@@ -14,10 +14,11 @@ import yaml
 from support.drawn_bag import write_drawn_bag
 from support.node_harness import SECOND
 from support.paths import CONFIG, ROOT
+from support.result_topics import fresh_outputs
 from support.stub_segmenter import StubSegmenter
 from turbseg_ros.bag.reader import BagReader
 from turbseg_ros.cli import replay
-from turbseg_ros.messages.results import CentroidMarkers, outputs, views
+from turbseg_ros.messages.results import views
 
 LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch.py"))
 
@@ -37,7 +38,7 @@ def test_launch_files_compile_and_define_the_entry_point(path):
 
 
 # What a node in its default names publishes.
-LIVE = {f"/turbseg/{output.name}" for output in (*outputs(1, CentroidMarkers()), *views())}
+LIVE = {f"/turbseg/{output.name}" for output in (*fresh_outputs(1), *views())}
 LIVE |= {"/diagnostics"}
 
 

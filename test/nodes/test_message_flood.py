@@ -19,6 +19,7 @@ from builtin_interfaces.msg import Time
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import CompressedImage, Image
 
+from support.result_topics import fresh_outputs
 from support.segmenters import segmenter_by_rules
 from turbseg_ros.messages.images import (
     ImageConversionError,
@@ -27,7 +28,6 @@ from turbseg_ros.messages.images import (
     message_from_image,
     stamp_to_ns,
 )
-from turbseg_ros.messages.results import CentroidMarkers, outputs
 from turbseg_ros.nodes.diagnostics import Event, Statistics
 from turbseg_ros.nodes.worker import SegmentationWorker
 from turbseg_ros.parameters import Parameters
@@ -157,7 +157,7 @@ def resident_bytes() -> int:
 )
 def test_every_valid_message_is_answered_once_and_every_other_is_counted(count: int) -> None:
     camera, statistics, logger = RandomCamera(seed=count), Statistics(), CountingLogger()
-    builders = outputs(2, CentroidMarkers())
+    builders = fresh_outputs(2)
     accepted: list[int] = []
     answered: list[int] = []
     lock = threading.Lock()
@@ -172,10 +172,10 @@ def test_every_valid_message_is_answered_once_and_every_other_is_counted(count: 
         assert result.labels.shape == result.frame.image.shape[:2]
         assert np.isfinite(result.motion_map).all()
         for output in builders:
-            built = output.build(result)
-            if hasattr(built, "header"):
-                assert stamp_to_ns(built.header.stamp) == result.frame.stamp
-            serialize_message(built)
+            for built in output.build(result):
+                if hasattr(built, "header"):
+                    assert stamp_to_ns(built.header.stamp) == result.frame.stamp
+                serialize_message(built)
         answered.append(result.frame.stamp)
 
     worker = SegmentationWorker(

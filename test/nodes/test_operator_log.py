@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
-import numpy as np
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
+from turbseg_ros.messages.events import Event, EventKind
 from turbseg_ros.nodes.operator_log import (
     COMPRESSED_TYPE,
     IMAGE_TYPE,
+    EventLog,
     InputWatch,
-    ObjectLog,
     incompatible_text,
     mismatch_text,
     missing_image_text,
 )
-from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResult
+from turbseg_ros.segmentation.frame import MovingObject
 from turbseg_ros.throttle import ThrottledLogger
 
 PERIOD = 100_000_000
@@ -40,42 +38,33 @@ class Clock:
         return self.now
 
 
-def result(number: int, *ids: int) -> SegmentationResult:
-    objects = [MovingObject(i, i, (10.0 * i, 5.0), (1.0, 0.0), 20, (0, 0, 5, 4)) for i in ids]
-    frame = Frame(number * PERIOD, np.zeros((8, 9), np.uint8))
-    labels = np.zeros((8, 9), np.uint16)
-    return SegmentationResult(
-        frame, labels, tuple(objects), np.zeros((2, 2), np.float32), 0.1, "affine"
-    )
+def entered(number: int) -> Event:
+    seen = MovingObject(number, 0, (20.0, 5.0), (1.0, 0.0), 20, (0, 0, 5, 4))
+    return Event(EventKind.ENTERED, number * PERIOD, seen, 0.0)
 
 
-def test_objects_that_appear_and_end_are_told_once() -> None:
+def test_the_log_tells_what_happens_in_the_events_words() -> None:
     log = Log()
-    objects = ObjectLog(ThrottledLogger(log, period=0.0), patience=lambda: 3)
-    # Object 2 is hidden for as long as it may be.
-    for number, ids in enumerate(
-        [(), (2,), (2,), (), (), (), (2,), (2, 3), (3,), (3,), (3,), (3,)]
-    ):
-        objects.add(result(number, *ids))
-    assert log.lines == [
-        "object 2 appeared at (20, 5), 5x4 px",
-        "object 3 appeared at (30, 5), 5x4 px",
-        "object 2 ended, seen for 0.6 s",
-    ]
+    events = EventLog(ThrottledLogger(log, period=0.0))
+    for event in (entered(2), Event(EventKind.CAMERA_SLEWING, PERIOD)):
+        events.add(event)
+    assert log.lines == ["object 2 entered at (20, 5), 5x4 px", "the camera slews"]
 
 
-def test_many_objects_are_a_few_lines_and_a_count() -> None:
+def test_many_objects_are_a_few_lines_and_a_count_and_hide_no_other_event() -> None:
     log, clock = Log(), Clock()
     throttled = ThrottledLogger(log, period=10.0, clock=clock, burst=5)
-    objects = ObjectLog(throttled, patience=lambda: 0)
+    events = EventLog(throttled)
     for number in range(40):
         clock.now = 0.1 * number
-        objects.add(result(number, number + 1))
+        events.add(entered(number))
+        events.catch_up()
     assert len(log.lines) == 5
+    events.add(Event(EventKind.BLINDED, PERIOD))
+    assert "nothing of the picture" in log.lines[-1]
     clock.now = 10.5
-    objects.add(replace(result(40, 40), objects=()))
-    # One appeared in each of 40 frames, and all have ended.
-    assert log.lines[5:] in (["object 40 ended, seen for 0.0 s (74 more like it before)"],)
+    events.catch_up()
+    assert log.lines[6:] == ["more happened to objects: 35"]
 
 
 def test_silence_is_told_once_and_again_when_the_reason_changes() -> None:

@@ -9,7 +9,8 @@ import pytest
 from std_msgs.msg import String
 
 from support.node_harness import Probe
-from turbseg_ros.messages.results import CentroidMarkers, Output, outputs, views
+from support.result_topics import fresh_outputs
+from turbseg_ros.messages.results import Output, one, views
 from turbseg_ros.nodes.publishers import ResultPublisher
 from turbseg_ros.parameters import Parameters
 from turbseg_ros.segmentation.frame import Frame, SegmentationResult
@@ -43,9 +44,9 @@ def test_only_what_is_heard_or_stateful_is_built(probe):
     publisher = ResultPublisher(
         probe.node,
         [
-            Output("heard", String, heard),
-            Output("unheard", String, unheard),
-            Output("stateful", String, stateful, stateful=True),
+            Output("heard", String, one(heard)),
+            Output("unheard", String, one(unheard)),
+            Output("stateful", String, one(stateful), stateful=True),
         ],
     )
     publisher.publish(result(1))
@@ -69,10 +70,10 @@ def test_an_output_that_fails_takes_no_other_along(probe, capfd):
     publisher = ResultPublisher(
         probe.node,
         [
-            Output("before", String, before, stateful=True),
-            Output("broken", String, broken, stateful=True),
-            Output("ill", String, lambda _: "not a message", stateful=True),
-            Output("after", String, after, stateful=True),
+            Output("before", String, one(before), stateful=True),
+            Output("broken", String, one(broken), stateful=True),
+            Output("ill", String, lambda _: ["not a message"], stateful=True),
+            Output("after", String, one(after), stateful=True),
         ],
         on_incomplete=lambda: incomplete.append(True),
     )
@@ -90,8 +91,8 @@ def test_images_are_wanted_while_somebody_looks_at_them(probe):
     publisher = ResultPublisher(
         probe.node,
         [
-            Output("labels", String, Counter()),
-            Output("overlay", String, overlay, shows_image=True),
+            Output("labels", String, one(Counter())),
+            Output("overlay", String, one(overlay), shows_image=True),
         ],
     )
     labels = probe.listen("/probe/labels", String)
@@ -107,17 +108,17 @@ def test_images_are_wanted_while_somebody_looks_at_them(probe):
 
 
 def test_the_overlay_alone_shows_the_image():
-    topics = (*outputs(2, CentroidMarkers()), *views())
+    topics = (*fresh_outputs(2), *views())
     assert [output.name for output in topics if output.shows_image] == ["overlay"]
 
 
 def test_markers_are_deleted_for_listeners_that_come_later():
-    stateful = {output.name for output in outputs(2, CentroidMarkers()) if output.stateful}
-    assert stateful == {"centroids"}
+    stateful = {output.name for output in fresh_outputs(2) if output.stateful}
+    assert stateful == {"centroids", "events"}
 
 
 def test_each_topic_keeps_as_many_messages_as_its_output_says(probe):
-    topics = outputs(1, CentroidMarkers())
+    topics = fresh_outputs(1)
     ResultPublisher(probe.node, topics)
     depths = {item.topic_name: item.qos_profile.depth for item in probe.node.publishers}
     assert {f"/probe/{output.name}": output.depth for output in topics}.items() <= depths.items()
@@ -127,7 +128,9 @@ def test_each_topic_keeps_as_many_messages_as_its_output_says(probe):
 
 
 def test_waits_for_listeners_but_not_for_ever(probe):
-    publisher = ResultPublisher(probe.node, [Output("labels", String, lambda _: String(data="x"))])
+    publisher = ResultPublisher(
+        probe.node, [Output("labels", String, one(lambda _: String(data="x")))]
+    )
     publisher.publish(result(1))
     assert publisher.wait_until_received(5.0)
     messages = probe.listen("/probe/labels", String)

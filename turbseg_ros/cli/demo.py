@@ -43,6 +43,7 @@ from turbseg_ros.evaluation.labels import (
     result_from_labels,
 )
 from turbseg_ros.evaluation.scores import Table, write_json
+from turbseg_ros.messages.events import EventMessages, EventWatch
 from turbseg_ros.messages.results import CentroidMarkers, outputs
 from turbseg_ros.nodes.recorder import Recorder
 from turbseg_ros.overlay import OverlayStrip, write_picture
@@ -152,13 +153,15 @@ def _record_live(source: BagReader, image_topic: str, products: _Products) -> No
         _ros_context(),
     ):
         # Slot masks say nothing that the labels don't.
-        results = outputs(0, CentroidMarkers())
+        events = EventMessages(EventWatch(lambda: _PARAMETERS.tracking.max_age))
+        results = outputs(0, CentroidMarkers(), events)
         topics = {f"{RESULT_NAMESPACE}/{output.name}": output.type for output in results}
+        of_frames = [f"{RESULT_NAMESPACE}/{each.name}" for each in results if each.every_frame]
         recorder = Recorder(bag, {**topics, "/diagnostics": DiagnosticArray})
         _await_publishers(recorder, functools.partial(_step, recorder, signals, [node]))
         with executable_process("play", play_arguments, play_log) as play:
             step = functools.partial(_step, recorder, signals, [node, play])
-            _await_results(recorder, topics, source.topics[image_topic].message_count, step)
+            _await_results(recorder, of_frames, source.topics[image_topic].message_count, step)
         if not recorder.received(LABELS_TOPIC):
             raise ProcessError(f"turbseg_node answered no frame; {node_log} may tell why")
 

@@ -33,6 +33,7 @@ from turbseg_ros.exports.object_table import SUFFIXES as TABLE_SUFFIXES
 from turbseg_ros.exports.object_table import ObjectTable
 from turbseg_ros.factory import clip_segmenter
 from turbseg_ros.messages.diagnostics import ResultDiagnostics
+from turbseg_ros.messages.events import EventMessages, EventWatch
 from turbseg_ros.messages.results import CentroidMarkers, Output, outputs, slot_output, views
 from turbseg_ros.overlay import OverlayStrip, write_picture
 from turbseg_ros.segmentation.condition import Condition
@@ -49,13 +50,15 @@ class ResultWriter:
     output that fails is warned about, throttled, and counted in `failed` under its name; the
     others are written all the same.
 
+    :param patience: frames that an object lives unseen.
     :param shown: names of the topics for people that are written, too.
     """
 
-    def __init__(self, bag: BagWriter, shown: Collection[str] = ()) -> None:
+    def __init__(self, bag: BagWriter, patience: int, shown: Collection[str] = ()) -> None:
         self._bag = bag
         wanted = (view for view in views() if view.name in shown)
-        self._outputs = (*outputs(0, CentroidMarkers()), *wanted)
+        events = EventMessages(EventWatch(lambda: patience))
+        self._outputs = (*outputs(0, CentroidMarkers(), events), *wanted)
         self._slots: dict[int, Output] = {}
         self._diagnostics = ResultDiagnostics(RESULT_NAMESPACE)
         self._throttled = ThrottledLogger(_LOGGER)
@@ -82,8 +85,9 @@ class ResultWriter:
 
     def _write(self, output: Output, result: SegmentationResult, recorded_at: int) -> None:
         try:
-            message = output.build(result)
-            cdr = serialised(message)
+            messages = [
+                (type_name_of(message), serialised(message)) for message in output.build(result)
+            ]
         except Exception:
             # Whatever it is, the other outputs may be sound.
             self.failed[output.name] += 1
@@ -92,7 +96,8 @@ class ResultWriter:
             )
             return
         topic = f"{RESULT_NAMESPACE}/{output.name}"
-        self._bag.write_serialized(topic, type_name_of(message), cdr, recorded_at)
+        for type_name, cdr in messages:
+            self._bag.write_serialized(topic, type_name, cdr, recorded_at)
 
 
 @executable("turbseg_replay")
@@ -120,7 +125,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 yield epoch
 
         segmenter = clip_segmenter(parameters, shown)
-        results = ResultWriter(bag, options.views)
+        results = ResultWriter(bag, parameters.tracking.max_age, options.views)
         # The next frames are read and segmented while a result is written. When it is stopped,
         # those that were read get their results.
         taken = stop.until_stopped(frames)

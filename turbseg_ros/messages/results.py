@@ -8,7 +8,7 @@ from __future__ import annotations
 import functools
 import math
 from collections import defaultdict
-from collections.abc import Callable, Collection, Hashable
+from collections.abc import Callable, Collection, Hashable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -16,11 +16,13 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 from builtin_interfaces.msg import Duration
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import Point, Vector3
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import ImageMarker, Marker, MarkerArray
 
+from turbseg_ros.messages.events import EventMessages
 from turbseg_ros.messages.images import message_from_image, ns_to_stamp
 from turbseg_ros.messages.stream_monitor import patience_for
 from turbseg_ros.overlay import colour_of, draw_overlay, outlines
@@ -342,16 +344,16 @@ class CentroidMarkers:
         """Take a camera's calibration, which holds from the next result on; any thread may."""
         self._camera_info = camera_info
 
-    def removal(self, frame: Frame) -> MarkerArray | None:
-        """Return what deletes all markers that are shown, None when none are.
+    def removal(self, frame: Frame) -> list[MarkerArray]:
+        """Return what deletes all markers that are shown, nothing when none are.
 
         :param frame: the last one.
         """
         if not self._shown:
-            return None
+            return []
         markers = _deletions(header_of(frame), self._shown)
         self._shown = frozenset()
-        return MarkerArray(markers=markers)
+        return [MarkerArray(markers=markers)]
 
     def _fit_plane(self, image_shape: tuple[int, ...]) -> None:
         info = self._camera_info
@@ -447,33 +449,42 @@ class _MarkerBrush:
 
 @dataclass(frozen=True)
 class Output:
-    """One topic of results: its name below the node's, its type and how a message is built.
+    """One topic of results: its name below the node's, its type and how its messages are built.
 
-    A `stateful` output's messages tell what changed since the one before, so that every one has to
-    be built; of the others, only those that someone wants. One that `shows_image` can be built
-    only of results whose frame kept its image. `depth` is how many messages a publisher keeps for
-    subscribers that missed one. `remove` returns the message that takes the marks of the last
-    frame away when no more come, None when there are none.
+    `build` returns the messages of a result: one, or none or several where it is not of
+    `every_frame`. A `stateful` output's messages tell what changed since those before, so that
+    every one has to be built; of the others, only those that someone wants. One that `shows_image`
+    can be built only of results whose frame kept its image. `depth` is how many messages a
+    publisher keeps for subscribers that missed one. `remove` returns the messages that take the
+    marks of the last frame away when no more come.
     """
 
     name: str
     type: type[Any]
-    build: Callable[[SegmentationResult], Any]
+    build: Callable[[SegmentationResult], Sequence[Any]]
     stateful: bool = False
+    every_frame: bool = True
     shows_image: bool = False
     depth: int = _IMAGE_DEPTH
-    remove: Callable[[Frame], Any | None] = lambda _: None
+    remove: Callable[[Frame], Sequence[Any]] = lambda _: ()
 
 
-def outputs(max_objects: int, markers: CentroidMarkers) -> tuple[Output, ...]:
-    """Return the topics that hold what was found; `markers` are those of this stream."""
+def one(build: Callable[[SegmentationResult], Any]) -> Callable[[SegmentationResult], list[Any]]:
+    """Return what builds a list of the one message that `build` makes of a result."""
+    return lambda result: [build(result)]
+
+
+def outputs(
+    max_objects: int, markers: CentroidMarkers, events: EventMessages
+) -> tuple[Output, ...]:
+    """Return the topics that hold what was found; `markers` and `events` are of this stream."""
     return (
-        Output("labels", Image, labels_message),
-        Output("mask", Image, mask_message),
+        Output("labels", Image, one(labels_message)),
+        Output("mask", Image, one(mask_message)),
         Output(
             "centroids",
             MarkerArray,
-            markers.message,
+            one(markers.message),
             stateful=True,
             depth=_SMALL_DEPTH,
             remove=markers.removal,
@@ -481,9 +492,18 @@ def outputs(max_objects: int, markers: CentroidMarkers) -> tuple[Output, ...]:
         Output(
             "annotations",
             ImageMarker,
-            annotations_message,
+            one(annotations_message),
             depth=_SMALL_DEPTH,
-            remove=annotations_removal,
+            remove=lambda frame: [annotations_removal(frame)],
+        ),
+        Output(
+            "events",
+            DiagnosticStatus,
+            events.messages,
+            stateful=True,
+            every_frame=False,
+            depth=_SMALL_DEPTH,
+            remove=events.removal,
         ),
         *map(slot_output, range(max_objects)),
     )
@@ -492,15 +512,15 @@ def outputs(max_objects: int, markers: CentroidMarkers) -> tuple[Output, ...]:
 def slot_output(slot: int) -> Output:
     """Return the topic of the mask of the object that holds a slot."""
     build = functools.partial(slot_mask_message, slot=slot)
-    return Output(f"objects/slot_{slot}/mask", Image, build)
+    return Output(f"objects/slot_{slot}/mask", Image, one(build))
 
 
 def views() -> tuple[Output, ...]:
     """Return the topics for people to look at."""
     return (
-        Output("overlay", Image, OverlayView().message, shows_image=True),
-        Output("motion", Image, motion_message),
-        Output("clutter", Image, clutter_message),
+        Output("overlay", Image, one(OverlayView().message), shows_image=True),
+        Output("motion", Image, one(motion_message)),
+        Output("clutter", Image, one(clutter_message)),
     )
 
 

@@ -14,7 +14,8 @@ from rclpy.qos import (
 )
 
 from turbseg_ros.messages.cdr import compressed_image_view, image_view
-from turbseg_ros.segmentation.frame import Frame, SegmentationResult
+from turbseg_ros.messages.events import Event
+from turbseg_ros.segmentation.frame import Frame
 from turbseg_ros.throttle import ThrottledLogger
 
 IMAGE_TYPE, COMPRESSED_TYPE = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
@@ -26,8 +27,8 @@ _SILENCE = 3.0
 _MAX_TOPICS = 8
 # Share of letters in common from which a name may be a misspelt one.
 _ALIKE = 0.8
-# Lines about objects in so many seconds.
-_MAX_OBJECT_LINES, _OBJECT_PERIOD = 5, 10.0
+# Lines about objects, and about the camera, in so many seconds.
+_MAX_EVENT_LINES, _EVENT_PERIOD = 5, 10.0
 
 
 def first_image_text(serialised: memoryview, frame: Frame, compressed: bool) -> str:
@@ -168,45 +169,25 @@ class InputWatch:
         self._said = reason
 
 
-class ObjectLog:
-    """Tells the log which objects appear and end.
+class EventLog:
+    """Tells the log what happens: of objects in a few lines in some seconds, and a count.
 
-    At most a few lines in some seconds; what is left out is counted. An object that is hidden for
-    a while neither ends nor appears anew: it has ended when it has not been seen for longer than
-    objects live unseen.
-
-    :param patience: returns for how many frames an object lives unseen.
+    What the camera does has lines of its own, so that many objects don't hide it.
     """
 
-    def __init__(self, logger: ThrottledLogger, patience: Callable[[], int]) -> None:
+    def __init__(self, logger: ThrottledLogger) -> None:
         self._logger = logger
-        self._patience = patience
-        self._frames = 0
-        # When each object was seen first (stamp, ns) and last (stamp; number of the frame).
-        self._seen: dict[int, tuple[int, int, int]] = {}
 
     @classmethod
-    def on(cls, logger: Any, patience: Callable[[], int]) -> ObjectLog:
+    def on(cls, logger: Any) -> EventLog:
         """Make one that writes to a ROS logger."""
-        throttled = ThrottledLogger(logger, period=_OBJECT_PERIOD, burst=_MAX_OBJECT_LINES)
-        return cls(throttled, patience)
+        return cls(ThrottledLogger(logger, period=_EVENT_PERIOD, burst=_MAX_EVENT_LINES))
 
-    def add(self, result: SegmentationResult) -> None:
-        """Take note of the next frame's objects."""
-        self._frames += 1
-        stamp = result.frame.stamp
-        for found in result.objects:
-            if found.id not in self._seen:
-                x, y = found.centroid
-                width, height = found.box[2:]
-                self._say(f"object {found.id} appeared at ({x:.0f}, {y:.0f}), {width}x{height} px")
-            first, *_ = self._seen.get(found.id, (stamp,))
-            self._seen[found.id] = (first, stamp, self._frames)
-        for object_id, (first, last, frame) in list(self._seen.items()):
-            if self._frames - frame > self._patience():
-                del self._seen[object_id]
-                self._say(f"object {object_id} ended, seen for {(last - first) / 1e9:.1f} s")
-        self._logger.catch_up("objects", "more objects appeared or ended")
+    def add(self, event: Event) -> None:
+        """Take note of something that happened."""
+        self._logger.info("camera" if event.seen is None else "objects", event.text)
 
-    def _say(self, text: str) -> None:
-        self._logger.info("objects", text)
+    def catch_up(self) -> None:
+        """Tell how much was left out, once that may be told; to be called regularly."""
+        self._logger.catch_up("objects", "more happened to objects")
+        self._logger.catch_up("camera", "more happened to the camera")

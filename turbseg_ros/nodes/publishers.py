@@ -56,14 +56,15 @@ class ResultPublisher:
         if last is None:
             return
         for output, publisher in self._publishers:
-            if (message := output.remove(last)) is not None:
+            for message in output.remove(last):
                 publisher.publish(message)
 
     def _publish(self, output: Output, publisher: Publisher, result: SegmentationResult) -> bool:
         """Publish a result on one topic where it is asked for; return whether that went well."""
         try:
             if output.stateful or publisher.get_subscription_count():
-                publisher.publish(output.build(result))
+                for message in output.build(result):
+                    publisher.publish(message)
         except Exception:
             # Whatever it is, the other outputs may be sound.
             self._throttled.error(

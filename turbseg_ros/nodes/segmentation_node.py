@@ -14,12 +14,13 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_srvs.srv import SetBool, Trigger
 
 from turbseg_ros.factory import motion_segmenter
+from turbseg_ros.messages.events import EventMessages, EventWatch
 from turbseg_ros.messages.images import frame_from_serialised
 from turbseg_ros.messages.results import CentroidMarkers, outputs, views
 from turbseg_ros.nodes.diagnostics import Event, NodeState, Report, Statistics, status_message
 from turbseg_ros.nodes.operator_log import (
+    EventLog,
     InputWatch,
-    ObjectLog,
     first_image_text,
     mismatch_text,
     missing_image_text,
@@ -72,13 +73,15 @@ class TurbsegNode(ReceivingNode):
         self._image_type: type[Any] = CompressedImage if compressed else Image
         self._statistics = Statistics()
         self._markers = CentroidMarkers(on_misfit=self._tell_misfit)
+        self._event_log = EventLog.on(self.get_logger())
+        events = EventMessages(
+            EventWatch(lambda: self._parameter_handler.current.tracking.max_age),
+            tell=self._event_log.add,
+        )
         self._results = ResultPublisher(
             self,
-            (*outputs(parameters.max_objects, self._markers), *views()),
+            (*outputs(parameters.max_objects, self._markers, events), *views()),
             on_incomplete=lambda: self._statistics.count(Event.INCOMPLETE),
-        )
-        self._objects = ObjectLog.on(
-            self.get_logger(), lambda: self._parameter_handler.current.tracking.max_age
         )
         self._input_watch = InputWatch(self.get_logger())
         self._awaits_first_image = True
@@ -168,7 +171,7 @@ class TurbsegNode(ReceivingNode):
 
     def _publish(self, result: SegmentationResult) -> None:
         self._results.publish(result)
-        self._objects.add(result)
+        self._event_log.catch_up()
 
     def _frame(self, serialised: memoryview) -> Frame:
         frame = frame_from_serialised(serialised, self._image_type)
