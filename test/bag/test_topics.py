@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import pytest
-from sensor_msgs.msg import Image
 
 from support.result_topics import fresh_outputs
 from turbseg_ros.bag.topics import is_result
-from turbseg_ros.messages.results import views
+from turbseg_ros.messages.results import IMAGE_TYPE, views
 
-PUBLISHED = [output.name for output in (*fresh_outputs(1), *views()) if output.type is Image]
+PUBLISHED = [each.name for each in (*fresh_outputs(1), *views()) if each.type_name == IMAGE_TYPE]
 
 
 @pytest.mark.parametrize("name", PUBLISHED)

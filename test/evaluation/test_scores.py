@@ -48,6 +48,7 @@ KEYS = [
     "ms_p50",
     "ms_p95",
     "tilt_px",
+    "score_bins",
 ]
 
 OBJECT = np.zeros((40, 50), np.uint16)
@@ -192,7 +193,7 @@ def test_json_has_the_documented_keys(tmp_path: Path) -> None:
     content = json.loads(path.read_text())
     assert list(content) == ["bags", "mean", "parameters"]
     assert [list(bag) for bag in content["bags"]] == [KEYS, KEYS]
-    figures = [key for key in KEYS[1:] if key != "objects"]
+    figures = [key for key in KEYS[1:] if key not in ("objects", "score_bins")]
     assert list(content["mean"]) == [*figures, "miou", "mdice"]
     assert content["parameters"] == {"flow.interval": 4}
     assert content["bags"][1]["j"] is None

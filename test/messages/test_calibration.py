@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import cv2
 import numpy as np
 import pytest
@@ -162,11 +164,21 @@ def test_markers_end_when_told_or_left_alone() -> None:
     assert (removal.ns, removal.id, removal.action) == (outlines.ns, outlines.id, removal.REMOVE)
 
 
+def test_the_text_tells_angles_where_the_camera_is_calibrated() -> None:
+    markers = CentroidMarkers()
+    markers.calibrate(camera_info())
+    (text,) = [m.text for m in markers.message(result()).markers if m.ns == "id"]
+    # The centroid is at (22.5, 11.5), of a focal length of 100 px; up is less than half the rows.
+    right = math.degrees(math.atan2(22.5 - SIZE[0] / 2, 100.0))
+    up = math.degrees(math.atan2(SIZE[1] / 2 - 11.5, math.hypot(100.0, 22.5 - SIZE[0] / 2)))
+    assert text.splitlines() == ["1", "6x4 px", f"az {right:+.2f}° el {up:+.2f}°"]
+
+
 def test_the_text_tells_the_speed_where_the_rate_is_known() -> None:
     texts = [
         next(m.text for m in CentroidMarkers().message(each).markers if m.ns == "id")
         for each in (result(), result(period=0.1))
     ]
-    assert texts == ["1", "1\n50 px/s"]
+    assert texts == ["1\n6x4 px", "1\n50 px/s\n6x4 px"]
     (found,) = result(period=0.1).objects
     assert found.velocity_per_second == pytest.approx((30.0, -40.0))

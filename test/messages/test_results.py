@@ -15,6 +15,10 @@ from sensor_msgs.msg import Image as ImageMessage
 from visualization_msgs.msg import ImageMarker, Marker
 
 from support.result_topics import fresh_outputs
+from turbseg_ros.bag.schema import message_class
+from turbseg_ros.bag.writer import serialised
+from turbseg_ros.messages.cdr import FieldReader
+from turbseg_ros.messages.detections import Detection, detections_from
 from turbseg_ros.messages.images import image_from_message
 from turbseg_ros.messages.results import (
     CentroidMarkers,
@@ -22,6 +26,7 @@ from turbseg_ros.messages.results import (
     UnitDepthPlane,
     annotations_message,
     clutter_message,
+    detections_message,
     header_of,
     labels_message,
     mask_message,
@@ -102,7 +107,11 @@ def test_every_message_comes_back_from_serialisation_as_it_went(
     for result in (moving_result(whole_numbers), drawn_result()):
         for output in every:
             for message in output.build(result):
-                received = deserialize_message(serialize_message(message), output.type)
+                if isinstance(message, bytes):
+                    continue
+                received = deserialize_message(
+                    serialize_message(message), message_class(output.type_name)
+                )
                 assert_alike(received, message, output.name)
 
 
@@ -130,6 +139,10 @@ def test_all_messages_carry_the_frame_header() -> None:
             if output.name == "events":
                 assert message.hardware_id == result.frame.frame_id
                 continue
+            if output.name == "detections":
+                header = FieldReader(memoryview(message)).header()
+                assert header == header_of(result.frame)
+                continue
             headed = message.markers[0] if output.name == "centroids" else message
             assert headed.header == header_of(result.frame), output.name
 
@@ -139,6 +152,19 @@ def test_topics_have_one_message_a_frame_or_say_that_they_may_not() -> None:
     counts = {output.name: len(output.build(drawn_result())) for output in every}
     assert {name for name, count in counts.items() if count != 1} == {"events"}
     assert {output.name for output in every if not output.every_frame} == {"events"}
+
+
+def test_detections_have_box_id_and_score() -> None:
+    result = drawn_result((5, 5, 10, 8), (70, 40, 20, 20))
+    first, second = result.objects
+    result = replace(result, objects=(replace(first, score=0.75), second))
+    assert detections_from(memoryview(detections_message(result))) == (
+        STAMP,
+        (
+            Detection((5.0, 5.0, 10.0, 8.0), "1", "object", 0.75),
+            Detection((70.0, 40.0, 20.0, 20.0), "2", "object", 1.0),
+        ),
+    )
 
 
 def test_labels_keep_ids_and_size() -> None:
@@ -170,7 +196,7 @@ def test_the_smallest_pictures_have_masks(shape: tuple[int, int]) -> None:
         assert (pixels_of(message, np.uint8) == 255).all()
     for output in (*fresh_outputs(1), *views()):
         for message in output.build(result):
-            serialize_message(message)
+            serialised(message)
 
 
 def test_after_65535_objects_masks_and_outlines_follow_the_label() -> None:
@@ -266,7 +292,7 @@ def test_markers_place_the_object_in_pixels() -> None:
     assert {marker.id for marker in markers} == {1}
     position = by_kind["centroid"].pose.position
     assert (position.x, position.y, position.z) == (15.0, 22.0, 0.0)
-    assert by_kind["id"].text == "1"
+    assert by_kind["id"].text.splitlines()[0] == "1"
     start, end = by_kind["velocity"].points
     assert (end.x - start.x) / (end.y - start.y) == -2.0
     trail = [(point.x, point.y) for point in by_kind["trail"].points]

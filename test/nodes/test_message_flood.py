@@ -21,6 +21,7 @@ from sensor_msgs.msg import CompressedImage, Image
 
 from support.result_topics import fresh_outputs
 from support.segmenters import segmenter_by_rules
+from turbseg_ros.bag.writer import serialised
 from turbseg_ros.messages.images import (
     ImageConversionError,
     frame_from_message,
@@ -175,7 +176,7 @@ def test_every_valid_message_is_answered_once_and_every_other_is_counted(count: 
             for built in output.build(result):
                 if hasattr(built, "header"):
                     assert stamp_to_ns(built.header.stamp) == result.frame.stamp
-                serialize_message(built)
+                serialised(built)
         answered.append(result.frame.stamp)
 
     worker = SegmentationWorker(

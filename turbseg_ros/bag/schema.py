@@ -48,7 +48,7 @@ def message_definition(type_name: str) -> MessageDefinition:
 
     :raises BagError: when no installed package has that type.
     """
-    if type_name == detections.TYPE_NAME and not _is_installed(type_name):
+    if type_name == detections.TYPE_NAME and not is_installed(type_name):
         return _definition_of_boxes()
     description = json.loads(_interface_file(type_name, "json"))
     hashes = {entry["type_name"]: entry["hash_string"] for entry in description["type_hashes"]}
@@ -106,7 +106,8 @@ def type_name_of(message: object) -> str:
     return f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
 
 
-def _is_installed(type_name: str) -> bool:
+def is_installed(type_name: str) -> bool:
+    """Whether some installed package has a type, such as `sensor_msgs/msg/Image`."""
     return any((prefix / "share" / f"{type_name}.json").is_file() for prefix in _prefixes())
 
 

@@ -78,6 +78,10 @@ class BagWriter:
                 self._stream.close()
             shutil.rmtree(self._partial, ignore_errors=True)
 
+    def has_topic(self, topic: str) -> bool:
+        """Whether the bag has a topic already."""
+        return topic in self._channels
+
     def add_topic(self, topic: str, type_name: str, qos: QoSProfile = _RELIABLE) -> None:
         """Announce a topic before its first message, to give it a QoS profile of its own.
 
@@ -202,7 +206,9 @@ class BagWriter:
 
 
 def serialised(message: object) -> bytes:
-    """Return a ROS message as CDR, encapsulation header included."""
+    """Return a ROS message as CDR, encapsulation header included; what is so already, as it is."""
+    if isinstance(message, bytes):
+        return message
     if isinstance(message, Image):
         return serialised_image(message)
     return bytes(serialize_message(message))

@@ -17,13 +17,13 @@ from pathlib import Path
 
 import numpy as np
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.signals import SignalHandlerOptions
 from tqdm import tqdm
 
 from turbseg_ros.bag.frames import BagFrames
 from turbseg_ros.bag.reader import BagReader
-from turbseg_ros.bag.topics import LABELS_TOPIC, RESULT_NAMESPACE, TRUTH_TOPIC
+from turbseg_ros.bag.schema import is_installed
+from turbseg_ros.bag.topics import DIAGNOSTICS_TOPIC, LABELS_TOPIC, RESULT_NAMESPACE, TRUTH_TOPIC
 from turbseg_ros.bag.writer import BagWriter
 from turbseg_ros.cli.errors import UsageError, executable
 from turbseg_ros.cli.outputs import check_folder
@@ -155,9 +155,11 @@ def _record_live(source: BagReader, image_topic: str, products: _Products) -> No
         # Slot masks say nothing that the labels don't.
         events = EventMessages(EventWatch(lambda: _PARAMETERS.tracking.max_age))
         results = outputs(0, CentroidMarkers(), events)
-        topics = {f"{RESULT_NAMESPACE}/{output.name}": output.type for output in results}
-        of_frames = [f"{RESULT_NAMESPACE}/{each.name}" for each in results if each.every_frame]
-        recorder = Recorder(bag, {**topics, "/diagnostics": DiagnosticArray})
+        published = [output for output in results if is_installed(output.type_name)]
+        topics = {f"{RESULT_NAMESPACE}/{each.name}": each.type_name for each in published}
+        of_frames = [f"{RESULT_NAMESPACE}/{each.name}" for each in published if each.every_frame]
+        topics[DIAGNOSTICS_TOPIC] = "diagnostic_msgs/msg/DiagnosticArray"
+        recorder = Recorder(bag, topics)
         _await_publishers(recorder, functools.partial(_step, recorder, signals, [node]))
         with executable_process("play", play_arguments, play_log) as play:
             step = functools.partial(_step, recorder, signals, [node, play])

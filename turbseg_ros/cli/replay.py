@@ -85,9 +85,7 @@ class ResultWriter:
 
     def _write(self, output: Output, result: SegmentationResult, recorded_at: int) -> None:
         try:
-            messages = [
-                (type_name_of(message), serialised(message)) for message in output.build(result)
-            ]
+            messages = [serialised(message) for message in output.build(result)]
         except Exception:
             # Whatever it is, the other outputs may be sound.
             self.failed[output.name] += 1
@@ -96,8 +94,8 @@ class ResultWriter:
             )
             return
         topic = f"{RESULT_NAMESPACE}/{output.name}"
-        for type_name, cdr in messages:
-            self._bag.write_serialized(topic, type_name, cdr, recorded_at)
+        for cdr in messages:
+            self._bag.write_serialized(topic, output.type_name, cdr, recorded_at)
 
 
 @executable("turbseg_replay")

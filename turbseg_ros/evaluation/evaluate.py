@@ -5,10 +5,12 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import Protocol
 
 from turbseg_ros.evaluation.labels import LabelsByStamp, StampedLabels
 from turbseg_ros.evaluation.metrics import Labels
+from turbseg_ros.evaluation.reliability import binned, judged
 from turbseg_ros.evaluation.scores import BagScores, Measurements, Scorer
 from turbseg_ros.evaluation.truth import Boxes, IgnoredRegions, Truth
 from turbseg_ros.segmentation.frame import Frame, SegmentationResult, Segmenter, segment
@@ -42,13 +44,17 @@ def evaluate_segmenter(
     """
     measured = _MeasuredSegmenter(segmenter)
     scorer = _TruthScorer(bag, truth, ignored)
+    sure: list[tuple[float, bool]] = []
     for result in segment(frames, measured):
         frame = result.frame
         prediction = StampedLabels(frame.stamp, result.labels, frame.received)
         found = scorer.add(prediction, frame.period, same_recording=True)
+        if found is not None:
+            there = None if ignored is None else ignored.at(frame.stamp)
+            sure += judged(result, found, there)
         for observer in observers:
             observer.add(result, None if isinstance(found, tuple) else found)
-    return scorer.scores(measured.measurements)
+    return replace(scorer.scores(measured.measurements), score_bins=binned(sure))
 
 
 def evaluate_labels(

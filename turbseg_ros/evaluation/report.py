@@ -8,6 +8,7 @@ from __future__ import annotations
 import base64
 import dataclasses
 import importlib.resources
+import itertools
 import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -21,6 +22,7 @@ from turbseg_ros.dependencies import how_to_install
 from turbseg_ros.evaluation.chart import Chart, Line
 from turbseg_ros.evaluation.experiments import ScoredExperiment, ScoredRow
 from turbseg_ros.evaluation.pictures import Illustrations, Picture
+from turbseg_ros.evaluation.reliability import EDGES, ScoreBin, pooled
 from turbseg_ros.evaluation.run import Run, RunResult
 from turbseg_ros.evaluation.scores import (
     COLUMNS,
@@ -115,6 +117,7 @@ class ReportWriter:
             comparable=[column for column in COLUMNS if column.name not in _OF_THE_BAG],
             scores=[dataclasses.asdict(bag) for bag in scores],
             mean=mean_scores(scores),
+            reliability=_reliability(scores),
             summary=_summary(scores),
             short=_short_names([bag.bag for bag in scores]),
             experiments=[_view(experiment) for experiment in report.experiments],
@@ -124,6 +127,14 @@ class ReportWriter:
             versions=_versions(),
             data_uri=_data_uri,
         )
+
+
+def _reliability(scores: Sequence[BagScores]) -> list[tuple[str, ScoreBin]]:
+    """Return the range of each bin of scores, and what is in it, of all bags that have some."""
+    given = [bag.score_bins for bag in scores if bag.score_bins]
+    ranges = [f"{low:g} to {high:g}" for low, high in itertools.pairwise(EDGES)]
+    bins = pooled(given) if given else ()
+    return [(text, each) for text, each in zip(ranges, bins, strict=False) if each.objects]
 
 
 @dataclass(frozen=True)

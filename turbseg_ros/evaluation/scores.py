@@ -31,6 +31,7 @@ from turbseg_ros.evaluation.metrics import (
     object_overlaps,
     true_components,
 )
+from turbseg_ros.evaluation.reliability import ScoreBin
 from turbseg_ros.evaluation.tracking import TrackingScorer
 from turbseg_ros.messages.detections import Detection
 
@@ -76,7 +77,8 @@ class BagScores:
     counts as one. `mota`, `idf1` and `hota` are those of the MOTChallenge, over masks or boxes.
     `pixel_f` is the F measure of all frames' pixels together, as in CDnet. `objects` has each true
     object. `fps`, `ms_p50` and `ms_p95` are of the segmentation
-    alone, `tilt_px` is the median of the measured turbulence.
+    alone, `tilt_px` is the median of the measured turbulence. `score_bins` tell how often objects
+    were true by their score; empty where none was given.
     """
 
     bag: str
@@ -107,6 +109,7 @@ class BagScores:
     ms_p50: float | None
     ms_p95: float | None
     tilt_px: float | None
+    score_bins: tuple[ScoreBin, ...] = ()
 
     def without_ids(self) -> BagScores:
         """Return the scores of something that doesn't claim to follow objects."""
@@ -120,6 +123,7 @@ class BagScores:
             idf1=None,
             hota=None,
             objects=tuple(dataclasses.replace(each, j=None, dice=None) for each in self.objects),
+            score_bins=(),
         )
 
 
@@ -292,7 +296,7 @@ def mean_scores(bags: Sequence[BagScores]) -> dict[str, float | None]:
     names = [
         figure.name
         for figure in dataclasses.fields(BagScores)
-        if figure.name not in ("bag", "objects")
+        if figure.name not in ("bag", "objects", "score_bins")
     ]
     means = {
         name: _mean([value for bag in bags if (value := getattr(bag, name)) is not None])

@@ -16,12 +16,13 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 from builtin_interfaces.msg import Duration
-from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import Point, Vector3
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import ImageMarker, Marker, MarkerArray
 
+from turbseg_ros.messages.detections import TYPE_NAME as DETECTIONS_TYPE
+from turbseg_ros.messages.detections import Detection, serialised_detections
 from turbseg_ros.messages.events import EventMessages
 from turbseg_ros.messages.images import message_from_image, ns_to_stamp
 from turbseg_ros.messages.stream_monitor import patience_for
@@ -32,6 +33,9 @@ from turbseg_ros.segmentation.tone import ToneMap
 
 # The velocity arrow ends where the object will be after so many frames.
 _ARROW_FRAMES = 10.0
+# What a detection is an instance of.
+OBJECT = "object"
+IMAGE_TYPE = "sensor_msgs/msg/Image"
 # Seconds that markers outlive a pause, so that it is the node that deletes them.
 _GRACE = 1.0
 # Outlines for viewers are let off corners that stand out less than this, in pixels.
@@ -143,6 +147,12 @@ def annotations_message(result: SegmentationResult) -> ImageMarker:
     return marker
 
 
+def detections_message(result: SegmentationResult) -> bytes:
+    """Return each object's box, id and score as a serialised vision_msgs/Detection2DArray."""
+    found = [Detection(each.box, str(each.id), OBJECT, each.score) for each in result.objects]
+    return serialised_detections(found, result.frame.stamp, result.frame.frame_id)
+
+
 def annotations_removal(frame: Frame) -> ImageMarker:
     """Return what takes the outlines away when no more frames come after this one."""
     return ImageMarker(header=header_of(frame), ns="outlines", action=ImageMarker.REMOVE)
@@ -150,6 +160,10 @@ def annotations_removal(frame: Frame) -> ImageMarker:
 
 class MarkerPlane(Protocol):
     """Where markers are drawn: pixel positions go in, positions in the camera's frame come out."""
+
+    @property
+    def is_calibrated(self) -> bool:
+        """Whether positions are in the camera's optical frame."""
 
     @property
     def pixel_size(self) -> float:
@@ -164,6 +178,7 @@ class PixelPlane:
     """Pixel coordinates as they are: x right, y down, z 0."""
 
     pixel_size: float = 1.0
+    is_calibrated: bool = False
 
     def place(self, pixels: npt.ArrayLike) -> npt.NDArray[np.float64]:
         """Return the Nx3 positions of Nx2 pixel positions (x, y)."""
@@ -184,6 +199,7 @@ class UnitDepthPlane:
     binning: tuple[float, float] = (1.0, 1.0)
     offset: tuple[float, float] = (0.0, 0.0)
     fisheye: bool = False
+    is_calibrated: bool = True
 
     @classmethod
     def from_camera_info(
@@ -419,6 +435,11 @@ class _MarkerBrush:
         text.text = str(moving_object.id)
         if (velocity := moving_object.velocity_per_second) is not None:
             text.text += f"\n{math.hypot(*velocity):.0f} px/s"
+        width, height = moving_object.box[2:]
+        text.text += f"\n{width}x{height} px"
+        if self.plane.is_calibrated:
+            azimuth, elevation = _angles(centroid)
+            text.text += f"\naz {azimuth:+.2f}° el {elevation:+.2f}°"
         arrow = self._marker("velocity", moving_object.id, Marker.ARROW, (size / 4, size / 2, 0.0))
         arrow.points = [centroid, tip]
         line = self._marker("trail", moving_object.id, Marker.LINE_STRIP, (size / 4, 0.0, 0.0))
@@ -449,18 +470,18 @@ class _MarkerBrush:
 
 @dataclass(frozen=True)
 class Output:
-    """One topic of results: its name below the node's, its type and how its messages are built.
+    """One topic of results: its name below the node's, that of its type, how messages are built.
 
-    `build` returns the messages of a result: one, or none or several where it is not of
-    `every_frame`. A `stateful` output's messages tell what changed since those before, so that
-    every one has to be built; of the others, only those that someone wants. One that `shows_image`
-    can be built only of results whose frame kept its image. `depth` is how many messages a
-    publisher keeps for subscribers that missed one. `remove` returns the messages that take the
-    marks of the last frame away when no more come.
+    `build` returns the messages of a result, serialised or not: one, or none or several where it
+    is not of `every_frame`. A `stateful` output's messages tell what changed since those before,
+    so that every one has to be built; of the others, only those that someone wants. One that
+    `shows_image` can be built only of results whose frame kept its image. `depth` is how many
+    messages a publisher keeps for subscribers that missed one. `remove` returns the messages that
+    take the marks of the last frame away when no more come.
     """
 
     name: str
-    type: type[Any]
+    type_name: str
     build: Callable[[SegmentationResult], Sequence[Any]]
     stateful: bool = False
     every_frame: bool = True
@@ -479,11 +500,11 @@ def outputs(
 ) -> tuple[Output, ...]:
     """Return the topics that hold what was found; `markers` and `events` are of this stream."""
     return (
-        Output("labels", Image, one(labels_message)),
-        Output("mask", Image, one(mask_message)),
+        Output("labels", IMAGE_TYPE, one(labels_message)),
+        Output("mask", IMAGE_TYPE, one(mask_message)),
         Output(
             "centroids",
-            MarkerArray,
+            "visualization_msgs/msg/MarkerArray",
             one(markers.message),
             stateful=True,
             depth=_SMALL_DEPTH,
@@ -491,20 +512,21 @@ def outputs(
         ),
         Output(
             "annotations",
-            ImageMarker,
+            "visualization_msgs/msg/ImageMarker",
             one(annotations_message),
             depth=_SMALL_DEPTH,
             remove=lambda frame: [annotations_removal(frame)],
         ),
         Output(
             "events",
-            DiagnosticStatus,
+            "diagnostic_msgs/msg/DiagnosticStatus",
             events.messages,
             stateful=True,
             every_frame=False,
             depth=_SMALL_DEPTH,
             remove=events.removal,
         ),
+        Output("detections", DETECTIONS_TYPE, one(detections_message), depth=_SMALL_DEPTH),
         *map(slot_output, range(max_objects)),
     )
 
@@ -512,15 +534,15 @@ def outputs(
 def slot_output(slot: int) -> Output:
     """Return the topic of the mask of the object that holds a slot."""
     build = functools.partial(slot_mask_message, slot=slot)
-    return Output(f"objects/slot_{slot}/mask", Image, one(build))
+    return Output(f"objects/slot_{slot}/mask", IMAGE_TYPE, one(build))
 
 
 def views() -> tuple[Output, ...]:
     """Return the topics for people to look at."""
     return (
-        Output("overlay", Image, one(OverlayView().message), shows_image=True),
-        Output("motion", Image, one(motion_message)),
-        Output("clutter", Image, one(clutter_message)),
+        Output("overlay", IMAGE_TYPE, one(OverlayView().message), shows_image=True),
+        Output("motion", IMAGE_TYPE, one(motion_message)),
+        Output("clutter", IMAGE_TYPE, one(clutter_message)),
     )
 
 
@@ -531,6 +553,13 @@ def _image(result: SegmentationResult, array: npt.NDArray[Any], encoding: str) -
 def _colour(object_id: int) -> ColorRGBA:
     blue, green, red = colour_of(object_id)
     return ColorRGBA(r=red / 255.0, g=green / 255.0, b=blue / 255.0, a=1.0)
+
+
+def _angles(point: Point) -> tuple[float, float]:
+    """Return how far right of the optical axis a point lies, and how far above, in degrees."""
+    azimuth = math.atan2(point.x, point.z)
+    elevation = math.atan2(-point.y, math.hypot(point.x, point.z))
+    return math.degrees(azimuth), math.degrees(elevation)
 
 
 def _point(x: float, y: float, z: float = 0.0) -> Point:

@@ -13,6 +13,7 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
+from turbseg_ros.bag.schema import is_installed, message_class
 from turbseg_ros.messages.results import Output
 from turbseg_ros.segmentation.frame import Frame, SegmentationResult
 from turbseg_ros.throttle import ThrottledLogger
@@ -36,7 +37,9 @@ class ResultPublisher:
         self._on_incomplete = on_incomplete
         # That of the last result, without its image.
         self._last: Frame | None = None
-        self._publishers = [(output, _publisher(node, output)) for output in outputs]
+        self._publishers = [
+            (output, _publisher(node, output)) for output in outputs if _has_type(node, output)
+        ]
 
     def publish(self, result: SegmentationResult) -> None:
         """Publish one result where someone listens; what is stateful, in any case."""
@@ -94,9 +97,21 @@ class ResultPublisher:
         )
 
 
+def _has_type(node: Node, output: Output) -> bool:
+    """Whether an output's type is installed; where it is not, the log says what is missing."""
+    if is_installed(output.type_name):
+        return True
+    package = output.type_name.partition("/")[0]
+    node.get_logger().info(
+        f"~/{output.name} is not published: {package} is not installed "
+        f"(apt install ros-$ROS_DISTRO-{package.replace('_', '-')})"
+    )
+    return False
+
+
 def _publisher(node: Node, output: Output) -> Publisher:
     return node.create_publisher(
-        output.type,
+        message_class(output.type_name),
         f"~/{output.name}",
         QoSProfile(depth=output.depth, reliability=ReliabilityPolicy.RELIABLE),
         # A listener that asks for more is warned itself. To be warned here, too, rclpy would look

@@ -6,13 +6,12 @@ import functools
 import time
 from collections import Counter
 from collections.abc import Mapping
-from typing import Any
 
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
-from turbseg_ros.bag.schema import type_name_of
+from turbseg_ros.bag.schema import message_class
 from turbseg_ros.bag.writer import BagWriter
 
 # Deep, so that a pause of the recorder's process loses nothing.
@@ -22,24 +21,25 @@ _QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
 class Recorder(Node):  # type: ignore[misc]  # rclpy is read as untyped
     """Writes what is published on topics into a bag, as it came and when it came.
 
-    `topics` gives each topic's message type. It subscribes reliably, as fits the node's outputs.
+    `topics` gives the name of each topic's message type. It subscribes reliably, as fits the
+    node's outputs.
     """
 
-    def __init__(self, bag: BagWriter, topics: Mapping[str, type[Any]]) -> None:
+    def __init__(self, bag: BagWriter, topics: Mapping[str, str]) -> None:
         super().__init__("recorder")
         self._bag = bag
-        for topic, kind in topics.items():
-            bag.add_topic(topic, type_name_of(kind()), _QOS)
+        for topic, type_name in topics.items():
+            bag.add_topic(topic, type_name, _QOS)
         self._received: Counter[str] = Counter()
         self._recorded_subscriptions = [
             self.create_subscription(
-                kind,
+                message_class(type_name),
                 topic,
-                functools.partial(self._record, topic, type_name_of(kind())),
+                functools.partial(self._record, topic, type_name),
                 _QOS,
                 raw=True,
             )
-            for topic, kind in topics.items()
+            for topic, type_name in topics.items()
         ]
         self._spinner = SingleThreadedExecutor()
         self._spinner.add_node(self)

@@ -53,7 +53,8 @@ class MovingObject:
     Lengths are pixels of the input image. `slot` is the output slot that the object keeps while
     it lives, -1 when all were taken; `velocity` is pixels a frame against the scene; `trail` are
     earlier centroids, oldest first, in this frame's coordinates; `period` is the time from one
-    frame to the next in seconds, None where it is not known.
+    frame to the next in seconds, None where it is not known; `score` is how sure it is, from 0 to
+    1, that something moves there in earnest.
     """
 
     id: int
@@ -64,6 +65,7 @@ class MovingObject:
     box: tuple[int, int, int, int]
     trail: tuple[tuple[float, float], ...] = ()
     period: float | None = None
+    score: float = 1.0
 
     @property
     def velocity_per_second(self) -> tuple[float, float] | None:
@@ -87,6 +89,7 @@ class MovingObject:
         trail: tuple[tuple[float, float], ...] = (),
         origin: tuple[int, int] = (0, 0),
         period: float | None = None,
+        score: float = 1.0,
     ) -> MovingObject:
         """Return the object that a mask, hxw, shows: its centroid, area and box by the mask.
 
@@ -108,6 +111,7 @@ class MovingObject:
             box=(x + origin[0], y + origin[1], width, height),
             trail=trail,
             period=period,
+            score=score,
         )
 
 

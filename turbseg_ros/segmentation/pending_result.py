@@ -109,6 +109,7 @@ class PendingResult:
             trail=tuple((x * scale, y * scale) for x, y in observation.trail),
             origin=(found.box.x0, found.box.y0),
             period=self.frame.period,
+            score=observation.track.certainty,
         )
 
 

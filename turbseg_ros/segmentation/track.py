@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 
 from turbseg_ros.arrays import ByteImage, Mask, Matrix, Point
+from turbseg_ros.segmentation.certainty import certainty
 from turbseg_ros.segmentation.cropped_mask import Box, CroppedMask
 from turbseg_ros.segmentation.geometry import translation
 from turbseg_ros.segmentation.occlusion import Portrait
@@ -224,6 +225,11 @@ class Track:
         there = self.detection.mask[common.moved(-expected.x0, -expected.y0).slices]
         here = detection.mask[common.moved(-found.x0, -found.y0).slices]
         return int(np.count_nonzero(there & here))
+
+    @property
+    def certainty(self) -> float:
+        """The probability, 0 to 1, that it is true."""
+        return certainty(self.shape_ious)
 
     @property
     def travelled(self) -> float:
