@@ -26,7 +26,7 @@ from turbseg_ros.segmentation.frame import Frame, SegmentationResult
 FRAMES = 10
 STAMPS = [number * 33_000_000 for number in range(FRAMES)]
 TIMES = ("fps", "ms_p50", "ms_p95")
-SCORE_KEYS = 28
+SCORE_KEYS = 29
 
 
 class DarkAreas:
@@ -116,7 +116,7 @@ def test_ablation_changes_one_thing_at_a_time(
 def test_a_change_is_compared_with_how_it_was_configured(
     bag: Path, tmp_path: Path, made: list[Parameters]
 ) -> None:
-    changes = ["--compare", "flow.interval:=2", "--compare", "flow.interval:=5"]
+    changes = ["--variant", "flow.interval:=2", "--variant", "flow.interval:=5"]
     content = evaluated(tmp_path / "out.json", bag, *changes, "-p", "max_objects:=3")
     names = [row["variant"] for row in content["comparison"]]
     assert names == ["as configured", "flow.interval 2", "flow.interval 5"]
@@ -129,7 +129,7 @@ def test_a_change_that_is_none_is_refused_in_one_line(
     bag: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for change in ("flow.interval", "flow.intervall:=2", "flow.interval:=many"):
-        assert main([str(bag), "--compare", change]) == 2
+        assert main([str(bag), "--variant", change]) == 2
         said = capsys.readouterr().err
         assert "flow.interval" in said
         assert said.count("\n") == 1

@@ -56,7 +56,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     stamps = [number * 33_000_000 for number in range(FRAMES)]
     bags = [write_drawn_bag(folder / name, stamps) for name in ("one", AWKWARD)]
     comparisons = ["--baselines", "mog2,knn", "--tilt-curve", "0,1,2"]
-    comparisons += ["--ablation", "--sensitivity", "--compare", "flow.interval:=2"]
+    comparisons += ["--ablation", "--sensitivity", "--variant", "flow.interval:=2"]
     comparisons += ["--shake-curve", "0,1", "-p", "max_objects:=4"]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(baselines, "clip_segmenter", DarkAreas)

@@ -68,7 +68,7 @@ from turbseg_ros.worker_pool import WorkerPool
 
 _METHOD = "turbseg"
 _EXPERIMENTS = (
-    *("baselines", "compare", "ablation", "sensitivity"),
+    *("baselines", "variant", "ablation", "sensitivity"),
     *("tilt_curve", "shake_curve"),
 )
 # With more runs than this, what is ahead is said.
@@ -250,8 +250,8 @@ def _experiments(
         experiments.append(tilt_curve(runs, methods, options.tilt_curve, options.seed))
     if options.shake_curve:
         experiments.append(shake_curve(runs, methods, options.shake_curve, options.seed))
-    if options.compare:
-        changes = [dict([parsed_override(each)]) for each in options.compare]
+    if options.variant:
+        changes = [dict([parsed_override(each)]) for each in options.variant]
         experiments.append(comparison(runs, parameters, changes))
     if options.ablation:
         experiments.append(ablation(runs, parameters))

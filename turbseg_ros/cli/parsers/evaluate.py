@@ -112,8 +112,9 @@ def _add_comparisons(parser: argparse.ArgumentParser) -> None:
         help="J under added shake: rms step an axis from frame to frame, as 0,1,2,4",
     )
     group.add_argument(
-        "--compare",
+        "--variant",
         action="append",
+        default=[],
         metavar="NAME:=VALUE",
         help="the method with this parameter changed, beside as configured; may be repeated",
     )
