@@ -342,6 +342,13 @@ class SeedParameters:
         minimum=0.0,
         maximum=100.0,
     )
+    standing_out: bool = parameter(
+        False,
+        "Look as well at what stands out from the scene's past, though flow doesn't show it to "
+        "move: what goes too fast for it, or is plain.",
+        read_only=True,
+        used_when=_BACKGROUND,
+    )
 
 
 @dataclass(frozen=True)
@@ -601,6 +608,11 @@ class Parameters:
     def is_causal(self) -> bool:
         """Whether a frame is compared with earlier ones only."""
         return self.latency.mode == "causal"
+
+    @property
+    def looks_at_past(self) -> bool:
+        """Whether what stands out from the scene's past is looked at; grown regions have none."""
+        return self.seed.standing_out and self.outline.method != "none"
 
     @property
     def segmentation_look_ahead(self) -> int:

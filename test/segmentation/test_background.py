@@ -14,6 +14,7 @@ from turbseg_ros.segmentation.background import (
     AlignedFrame,
     Background,
     background_in,
+    calm_background_in,
     deviation_from,
     difference_from,
 )
@@ -147,6 +148,17 @@ def test_spread_is_the_standard_deviation_of_noise() -> None:
     plain = np.full((*SHAPE, 1), 128, np.uint8)
     background = background_in(WHOLE, noisy_views(40, 6.0, plain))
     assert background.spread.mean() == pytest.approx(6.0, rel=0.1)
+
+
+def test_the_calmer_side_tells_the_spread_where_cars_pass() -> None:
+    views = noisy_views(40, 2.0)
+    for bright in views[::3]:
+        bright.scene.image[..., 0] = 255
+    calm, spread = (
+        float(np.median(made(WHOLE, views).spread)) for made in (calm_background_in, background_in)
+    )
+    assert 1.0 < calm < 4.0
+    assert spread > 10.0
 
 
 def test_views_are_aligned_by_where_they_look() -> None:

@@ -128,6 +128,24 @@ def test_earlier_observations_learn_the_id_of_their_track() -> None:
     assert first.track.id == 1
 
 
+def test_what_goes_fast_is_followed_though_no_flow_tells_its_velocity() -> None:
+    tracker = tracker_of()
+    for frame in range(12):
+        standing = replace(seen(20 + 30 * frame, 60, width=40, height=30), flow_known=False)
+        (observation,) = update(tracker, [standing], tilt=0.3)
+    assert observation.track.id == 1
+    assert observation.velocity == pytest.approx((30.0, 0.0), abs=2.0)
+
+
+def test_an_edge_that_stands_out_here_and_there_never_becomes_an_object() -> None:
+    tracker, random = tracker_of(), np.random.default_rng(4)
+    for _ in range(60):
+        x, width = random.integers(100, 130), int(random.integers(30, 60))
+        edge = replace(seen(float(x), 60, width=width, height=8), flow_known=False)
+        for observation in update(tracker, [edge], tilt=0.3):
+            assert not observation.track.confirmed
+
+
 def test_an_object_that_hides_for_some_frames_keeps_its_id() -> None:
     tracker = tracker_of()
     before = follow(tracker, range(8), (5, 30), (3, 0))

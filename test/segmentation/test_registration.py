@@ -213,6 +213,21 @@ def test_a_target_that_fills_the_view_tells_no_camera_motion() -> None:
     assert found.model is EgoMotionModel.HELD
 
 
+def test_fast_objects_over_much_of_a_still_view_are_not_its_motion() -> None:
+    # Cars that fill more than a third of a road with little texture go on by 24 pixels.
+    road = texture((240, 320), seed=5, grain=3.0).astype(np.float32)
+    road = 110.0 + 0.3 * (road - road.mean())
+    cars = texture((240, 320), seed=6, grain=3.0)
+    where = np.zeros((240, 320), bool)
+    where[:, 40:100] = where[:, 180:240] = True
+    source, target = (
+        np.where(where, np.roll(cars, step, axis=0), road).astype(np.uint8) for step in (0, 24)
+    )
+    found = register(source, target)
+    assert found is not None
+    assert np.abs(found.motion - np.eye(3)).max() < 0.5
+
+
 @pytest.mark.parametrize("grey", [0, 1, 128, 255])
 def test_a_plain_picture_lies_anywhere(grey: int) -> None:
     plain = np.full(SHAPE, grey, np.uint8)

@@ -30,6 +30,7 @@ VARIANTS: Mapping[str, Mapping[str, Value]] = {
     "Sampson distance (eq. 2)": {"motion.measure": "sampson"},
     "no geometric check": {"motion.measure": "none"},
     "similar magnitude (eq. 3)": {"growing.similarity": "magnitude"},
+    "what stands out from the past": {"seed.standing_out": True},
     "growing only": {"outline.method": "none"},
 }
 """What the ablation changes, one thing at a time: names of variants and their parameters."""

@@ -108,16 +108,34 @@ def background_in(
 
     :param shape: rows and columns to sample the box at, its own if None.
     """
-    shape = shape or box.shape
+    lower, median, upper, known = _quartiles_in(box, views, shape or box.shape)
+    spread = _without_last(upper - lower) * np.float32(_IQR_TO_SIGMA)
+    return Background(_without_last(median).astype(np.float32), spread, known)
+
+
+def calm_background_in(
+    box: Box, views: Sequence[AlignedFrame], shape: tuple[int, int] | None = None
+) -> Background:
+    """Estimate the background as `background_in`, its spread by the calmer side of the median.
+
+    Where objects that nobody knows of pass all the time, they are darker or brighter than what is
+    behind them, so that the other side tells by how much that varies.
+    """
+    lower, median, upper, known = _quartiles_in(box, views, shape or box.shape)
+    calmer = np.minimum(upper - median, median - lower)
+    spread = _without_last(calmer) * np.float32(2 * _IQR_TO_SIGMA)
+    return Background(_without_last(median).astype(np.float32), spread, known)
+
+
+def _quartiles_in(
+    box: Box, views: Sequence[AlignedFrame], shape: tuple[int, int]
+) -> tuple[ByteImage, ByteImage, ByteImage, Mask]:
+    """Return the quartiles of what views show of a box, hxwx(C+1), and where that is known."""
     samples = _sampled(views, box, shape)
     count = _without_hidden(samples)[:, : shape[1]]
     ordered = np.stack(_ordered(samples))
-    spread = _quantile(ordered, count, 3) - _quantile(ordered, count, 1)
-    return Background(
-        median=_without_last(_quantile(ordered, count, 2)).astype(np.float32),
-        spread=_without_last(spread) * np.float32(_IQR_TO_SIGMA),
-        known=count >= _MIN_SAMPLES,
-    )
+    lower, median, upper = (_quantile(ordered, count, quarters) for quarters in (1, 2, 3))
+    return lower, median, upper, count >= _MIN_SAMPLES
 
 
 def _without_hidden(samples: ByteImage) -> Counts:

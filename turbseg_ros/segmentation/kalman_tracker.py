@@ -42,6 +42,8 @@ _SHARED_TILT = 0.35
 _FLICKER, _MIN_TILT, _FLICKER_HITS = 2.0, 0.2, 2
 # Share of its size that an object must have come to be surely no restless place.
 _TRAVELLED = 0.5
+# Least way of what no flow shows to move, in roots of its area, and over the way walked.
+_CLEAR, _STRAIGHT = 1.0, 0.75
 # Frames for which the place of one that got nowhere is remembered.
 _CLUTTER_SPAN = 300
 
@@ -311,6 +313,8 @@ class KalmanTracker:
         )
         if any(site.holds(track.birthplace) for site in self._clutter_sites):
             wanted = max(wanted, track.size)
+        if not track.detection.flow_known:
+            wanted = max(wanted, _CLEAR * np.sqrt(track.detection.area), _STRAIGHT * track.walked)
         return track.travelled >= wanted
 
     def _significant_way(self, track: Track, tilt: float) -> float:

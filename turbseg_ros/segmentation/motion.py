@@ -25,7 +25,7 @@ _AGREEMENT = 3.0
 _MIN_NOISE = 0.015
 # No turbulence tilts a picture by so many pixels: the camera moves past things near and far, too
 # fast for the flow. Below the second it stands still again.
-_BEYOND_TURBULENCE = 2.0
+BEYOND_TURBULENCE = 2.0
 _WITHIN_TURBULENCE = 0.4
 # Medians over a map are taken from about so many pixels.
 _SAMPLES = 10000
@@ -309,7 +309,7 @@ def next_interval(interval: int, widest: int, tilt: float) -> int:
     :param interval: the one that `tilt` was measured over.
     :param tilt: what was measured as tilt, in pixels; NaN changes nothing.
     """
-    if tilt > _BEYOND_TURBULENCE:
+    if tilt > BEYOND_TURBULENCE:
         return max(widest // 2, 1)
     return widest if tilt < _WITHIN_TURBULENCE else interval
 

@@ -19,6 +19,7 @@ STAGES = (
     "motion map",
     "region growing",
     "propagation",
+    "what stands out",
     "crops",
     "outlines",
     "tracking",

@@ -29,6 +29,7 @@ from turbseg_ros.segmentation.moving import Moving
 from turbseg_ros.segmentation.observer import StageObserver
 from turbseg_ros.segmentation.refinement import Refiner, refined_masks
 from turbseg_ros.segmentation.resolution import Resolution
+from turbseg_ros.segmentation.standing_out import Past, past_in, standing_areas
 from turbseg_ros.segmentation.track import Detection
 from turbseg_ros.segmentation.window import FrameWindow
 
@@ -44,6 +45,8 @@ _MIN_SCENE = 0.5
 _KNOWN = 0.5
 # A known object counts as resting when motion was found on less than this share of it.
 _RESTING = 0.6
+# Share of an outline from which on it is what stands out, and no flow tells its velocity.
+_STANDING = 0.5
 
 Pixels = npt.NDArray[np.intp]
 """Rows, or columns, of pixels."""
@@ -93,17 +96,19 @@ class RefinedDifference:
         return refined_masks(gathered, self.refiner.refine(gathered))
 
 
-@dataclass(frozen=True)
+@dataclass
 class _Outlook:
     """Cache, valid until motion is measured again.
 
     By index: other frames with what was predicted of the objects masked out, and their exposure
-    relative to frame `index`, in which motion was measured.
+    relative to frame `index`, in which motion was measured; and what the scene looked like before,
+    as that frame sees it.
     """
 
     index: int = 0
     images: dict[int, MaskedImage] = field(default_factory=dict)
     exposures: dict[int, ColourExposure] = field(default_factory=dict)
+    past: Past | None = None
 
 
 class Outliner:
@@ -119,11 +124,17 @@ class Outliner:
         resolution: Resolution,
         method: OutlineMethod,
         observer: StageObserver,
+        looks_at_past: bool = False,
     ) -> None:
+        """Set up an outliner of a stream that has no frame yet.
+
+        :param looks_at_past: whether what stands out from the scene's past is looked at as well.
+        """
         self._window = window
         self._resolution = resolution
         self._method = method
         self._observer = observer
+        self._looks_at_past = looks_at_past
         self._outlook = _Outlook()
 
     def detections(
@@ -145,14 +156,17 @@ class Outliner:
         if moving.measured:
             self._outlook = _Outlook(index)
         shape = self._resolution.detail_shape
-        moving_mask = union_mask([area.search_mask for area in moving.areas], shape)
+        image = self._window[index].detail
+        measured = union_mask([area.search_mask for area in moving.areas], shape)
+        proposed = self._standing_areas(index, moving, measured, tilt)
+        standing = union_mask([area.search_mask for area in proposed], shape) & ~measured
+        looked_at = measured | standing
 
         def crops() -> Sequence[ObjectCrop]:
             with self._observer.stage("crops"):
-                areas = [*moving.areas, *_resting_areas(expected, moving_mask)]
-                aligned = self._aligned_frames(index, moving)
-                image = self._window[index].detail
-                gathered = object_crops(image, areas, aligned, moving.motion, tilt)
+                areas = [*moving.areas, *proposed, *_resting_areas(expected, looked_at)]
+                views = self._aligned_frames(index, moving)
+                gathered = object_crops(image, areas, views, moving.motion, tilt)
             self._observer.crops(stamp, gathered)
             return gathered
 
@@ -161,12 +175,32 @@ class Outliner:
             outlines = _in_scene(outlines, overlays)
             if self._window[index].camera.state is CameraState.SLEWING:
                 outlines = _of_known(outlines, union_mask(expected, shape))
-        seen_to_move = moving_mask if moving.measured else np.zeros_like(moving_mask)
+        seen_to_move = looked_at if moving.measured else standing
         return [
-            _detection(outline, seen_to_move, moving.motion, self._resolution)
+            _detection(outline, seen_to_move, standing, moving.motion, self._resolution)
             for outline in outlines
             if outline.area >= _MIN_OUTLINE
         ]
+
+    def _standing_areas(
+        self, index: int, moving: Moving, looked_at: Mask, tilt: float
+    ) -> list[MovingArea]:
+        """Return what stands out from the scene's past, outside of what is looked at anyway.
+
+        :param looked_at: HxW at detail resolution.
+        """
+        if not self._looks_at_past:
+            return []
+        outlook, resolution = self._outlook, self._resolution
+        with self._observer.stage("what stands out"):
+            if moving.measured:
+                views = self._aligned_frames(index, moving)
+                outlook.past = past_in(views, resolution.detail, tilt)
+            if outlook.past is None:
+                return []
+            to_outlook = resolution.to_detail(self._window.transform(index, outlook.index))
+            past = outlook.past.seen_from(to_outlook)
+            return standing_areas(self._window[index].detail, past, looked_at)
 
     def _aligned_frames(self, index: int, moving: Moving) -> list[AlignedFrame]:
         """Return the frames that show the scene at other times, as seen from this one.
@@ -257,15 +291,24 @@ def _resting_areas(expected: Sequence[CroppedMask], moving: Mask) -> list[Moving
 
 
 def _detection(
-    outline: CroppedMask, moving: Mask, motion: MotionEstimate, resolution: Resolution
+    outline: CroppedMask,
+    moving: Mask,
+    standing: Mask,
+    motion: MotionEstimate,
+    resolution: Resolution,
 ) -> Detection:
-    """Describe an outline: its velocity is the median over its pixels."""
+    """Describe an outline: its velocity is the median over its pixels, where flow tells one.
+
+    :param moving: HxW, where something was seen to move in this frame.
+    :param standing: HxW, where something stands out that flow doesn't show to move.
+    """
     y, x = np.nonzero(outline.mask)
     scale_x, scale_y = resolution.detail_from_processing
     height, width = motion.motion_map.shape
     column = np.minimum(((x + outline.box.x0) / scale_x).astype(int), width - 1)
     row = np.minimum(((y + outline.box.y0) / scale_y).astype(int), height - 1)
-    vx, vy = np.median(motion.velocity[row, column], axis=0)
+    flow_known = outline.intersection_area(standing) <= _STANDING * outline.area
+    vx, vy = np.median(motion.velocity[row, column], axis=0) if flow_known else (0.0, 0.0)
     clutter = 0.0
     if motion.clutter is not None:
         rows, columns = motion.clutter.shape
@@ -277,6 +320,7 @@ def _detection(
         velocity=(float(vx) * scale_x, float(vy) * scale_y),
         moving=bool((outline.mask & moving[outline.box.slices]).any()),
         clutter=clutter,
+        flow_known=flow_known,
         cut_off=_is_cut_off(row, column, motion.visible),
     )
 

@@ -6,6 +6,7 @@
              seeds                     region_growing.seed_strength; evidence.PictureEvidence
     eq. 3    seeded region growing     region_growing.similar_velocity; similar_magnitude
              small targets             small_targets.TargetTracks (not in the paper)
+             what stands out           standing_out.standing_areas; not asked
     eq. 4    mask ids                  kalman_tracker.KalmanTracker; kmeans_ids.kmeans_ids
     eq. 5-9  refinement                outliner.RefinedDifference; learning.clip_refinement
 
@@ -26,7 +27,7 @@ from turbseg_ros.segmentation.cropped_mask import CroppedMask, union_mask
 from turbseg_ros.segmentation.evidence import PictureEvidence
 from turbseg_ros.segmentation.frame import Frame
 from turbseg_ros.segmentation.load import Load
-from turbseg_ros.segmentation.motion import MotionEstimate, measure_for
+from turbseg_ros.segmentation.motion import BEYOND_TURBULENCE, MotionEstimate, measure_for
 from turbseg_ros.segmentation.motion_schedule import MotionSchedule, frame_window
 from turbseg_ros.segmentation.motion_worker import MotionJob, MotionWorker
 from turbseg_ros.segmentation.moving import Moving, what_moves
@@ -34,15 +35,12 @@ from turbseg_ros.segmentation.observer import StageObserver
 from turbseg_ros.segmentation.outliner import GUARD, Outliner, overlay_masks
 from turbseg_ros.segmentation.pending_result import PendingResult
 from turbseg_ros.segmentation.preparation import PreparedFrame
-from turbseg_ros.segmentation.region_growing import Region, grow_regions, seed_strength
+from turbseg_ros.segmentation.region_growing import MIN_REGION, Region, grow_regions, seed_strength
 from turbseg_ros.segmentation.registration import without_vote
 from turbseg_ros.segmentation.resolution import Resolution
 from turbseg_ros.segmentation.scene_memory import SceneMemory
 from turbseg_ros.segmentation.small_targets import TargetTracks, with_targets
 from turbseg_ros.segmentation.strategies import Strategies
-
-# Smallest region, in pixels at processing resolution.
-_MIN_REGION = 12
 
 
 class Pipeline:
@@ -82,7 +80,9 @@ class Pipeline:
         self._regions = strategies.regions.fitted(resolution)
         # The frame that was tracked last.
         self._tracked = -1
-        self._outliner = Outliner(self.window, resolution, strategies.outlines, observer)
+        self._outliner = Outliner(
+            self.window, resolution, strategies.outlines, observer, parameters.looks_at_past
+        )
 
     def append(self, prepared: PreparedFrame) -> None:
         """Take the next frame into the window, and follow what stands out in it."""
@@ -111,7 +111,7 @@ class Pipeline:
             observations = tracker.coast(ego_motion, shape)
         else:
             # Detections: objects cut out of the picture where something moves (eq. 5 to 9).
-            tilt = resolution.tilt_in_detail(moving.motion.tilt)
+            tilt = resolution.tilt_in_detail(min(moving.motion.tilt, BEYOND_TURBULENCE))
             expected = tracker.expected_outlines(ego_motion, shape)
             detections = self._outliner.detections(
                 index, moving, expected, overlays, tilt, frame.stamp
@@ -196,5 +196,5 @@ class Pipeline:
         strength = evidence.borne_out(strength, seed.size, seed.evidence)
         similarity = self._strategies.similarity
         return grow_regions(
-            motion, strength, seed.size, growing.delta, similarity, _MIN_REGION, taken
+            motion, strength, seed.size, growing.delta, similarity, MIN_REGION, taken
         )

@@ -13,6 +13,8 @@ from turbseg_ros.arrays import Map, Mask
 from turbseg_ros.segmentation.cropped_mask import Box, CroppedMask
 from turbseg_ros.segmentation.motion import MotionEstimate
 
+MIN_REGION = 12
+"""Area of the smallest region, in pixels at processing resolution."""
 _FREE, _TAKEN = 0, 1
 
 

@@ -38,6 +38,8 @@ _RANSAC_REPROJECTION_PIXELS = 1.0
 _CHANCE_PEAK, _MIN_CORRELATION = 30.0, 0.4
 # Share of the picture that must overlap for its correlation to mean something.
 _MIN_OVERLAP = 0.25
+# Pixels at half of the resolution by which a shift is hardly told from rest.
+_NEAR_REST = 3
 # A telephoto view neither turns over nor zooms by a tenth within one frame.
 _MAX_CHANGE_OF_SHAPE = 0.1
 # What a model must have to be believed: the largest standard error, in pixels, with which it says
@@ -129,6 +131,8 @@ def register(
     halves = [cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in (source, target)]
     scene = _scene(voteless, (size[1], size[0]))
     coarse, peak = phase_correlation(*_without(halves, scene))
+    if not _fits_more_of_it(halves[0], halves[1], coarse[:2, 2]):
+        coarse = np.eye(3)
     shift = 2.0 * coarse[:2, 2]
     # Lucas-Kanade takes a change of exposure for motion.
     source = exposure_between(source, target, translation(*-shift)).applied_to(source, channels=1)
@@ -172,6 +176,25 @@ def _without(images: Sequence[ByteImage], scene: ByteImage | None) -> Sequence[B
         mean = np.float32(cv2.mean(image, mask=scene)[0])
         faded.append(np.rint(mean + (image - mean) * weight).astype(np.uint8))
     return faded
+
+
+def _fits_more_of_it(source: ByteImage, target: ByteImage, shift: npt.NDArray[np.float64]) -> bool:
+    """Whether a shift fits more places of the picture than rest does.
+
+    Large objects that go fast through the view give a higher peak than the scene behind them.
+    """
+    x, y = np.rint(shift).astype(int).tolist()
+    if max(abs(x), abs(y)) < _NEAR_REST:
+        return True
+    shifted = cv2.warpAffine(
+        source, translation(x, y)[:2], source.shape[::-1], borderMode=cv2.BORDER_REPLICATE
+    )
+    moved, at_rest = (
+        cv2.resize(cv2.absdiff(each, target), _GRID[::-1], interpolation=cv2.INTER_AREA) + 1.0
+        for each in (shifted, source)
+    )
+    more = np.count_nonzero(moved < _BETTER * at_rest)
+    return bool(more >= np.count_nonzero(at_rest < _BETTER * moved))
 
 
 def _corners(half: ByteImage, scene: ByteImage | None) -> Points:

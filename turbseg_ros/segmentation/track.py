@@ -27,6 +27,10 @@ _MIN_DISPLACEMENT_RATIO = 0.25
 _DISPLACEMENT_SPAN = 24
 # Share of an object that must be seen beside others for its place to be told by that.
 _MIN_VISIBLE = 0.2
+_UNKNOWN_SPEED = 0.1
+_SURPRISING = 2.0
+# A change of velocity by one pixel a frame, as the filter's uncertainty a frame later has it.
+_ANY_VELOCITY = np.kron(np.ones((2, 2)), np.eye(2))
 SHAPE_SPAN = 12
 """Frames over which an object's masks are compared with each other."""
 
@@ -38,7 +42,8 @@ class Detection:
     `velocity` is in pixels a frame against the scene; `moving` tells whether motion was found in
     this frame, or only an outline that stands out where an object is known to be. `clutter` is
     what its place is known to move by without anything being there, in pixels a frame; `cut_off`
-    tells whether it reaches the border of what can be seen, `surely_moves` whether it was followed
+    tells whether it reaches the border of what can be seen, `flow_known` whether flow tells its
+    velocity, which else is 0, `surely_moves` whether it was followed
     for long enough, before it became a detection, to know that it is an object.
     """
 
@@ -49,6 +54,7 @@ class Detection:
     clutter: float = 0.0
     cut_off: bool = False
     surely_moves: bool = False
+    flow_known: bool = True
 
     @property
     def outline(self) -> CroppedMask:
@@ -167,8 +173,18 @@ class Track:
         # A pixel more or less is much of a target of a few, and says nothing.
         iou = 1.0 if detection.surely_moves else common / max(union, 1)
         self.shape_ious = [*self.shape_ious, iou][-SHAPE_SPAN:]
+        if not detection.flow_known:
+            self._doubt_velocity(detection.centroid)
         self.kalman.correct(detection.centroid.reshape(2, 1))
         self._see(detection, detection.centroid)
+
+    def _doubt_velocity(self, centroid: Point) -> None:
+        """Take the velocity for less sure where a place is surprising and no flow tells it."""
+        uncertain = self.kalman.errorCovPre
+        surprise = centroid - self.position
+        usual = uncertain[:2, :2] + self.kalman.measurementNoiseCov
+        if surprise @ np.linalg.solve(usual, surprise) > _SURPRISING**2:
+            self.kalman.errorCovPre = uncertain + float(surprise @ surprise) * _ANY_VELOCITY
 
     def correct_beside(self, detection: Detection, whole: Portrait, others: CroppedMask) -> None:
         """Take what is seen of it where others touch or hide it.
@@ -235,6 +251,11 @@ class Track:
     def travelled(self) -> float:
         """Distance from where it was seen first, in pixels."""
         return float(np.linalg.norm(self.position - self.birthplace))
+
+    @property
+    def walked(self) -> float:
+        """Length of the way over its sightings, in pixels."""
+        return float(np.linalg.norm(np.diff(self.sightings, axis=0), axis=1).sum())
 
     def expected(self, ego_motion: Matrix, shape: tuple[int, int], frames: int = 1) -> Detection:
         """Return it as it should be in a coming frame of some shape.
@@ -359,5 +380,7 @@ def _kalman_at(detection: Detection, tilt: float) -> cv2.KalmanFilter:
     kalman.measurementNoiseCov = np.diag([wander, wander])
     kalman.statePost = np.array([*detection.centroid, *detection.velocity]).reshape(4, 1)
     doubt = (0.2 + 0.3 * speed) ** 2
+    if not detection.flow_known:
+        doubt = (_UNKNOWN_SPEED * float(np.hypot(*detection.box.shape))) ** 2
     kalman.errorCovPost = np.diag([wander, wander, doubt, doubt])
     return kalman
