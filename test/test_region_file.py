@@ -109,6 +109,7 @@ def test_regions_without_names_are_numbered() -> None:
         ),
         (content({"polygon": [[0, 0], [0.5, 0.5], [1, 1]]}), "the polygon has no area"),
         (content({"polygon": [[0.2, 0.2]] * 4}), "the polygon has no area"),
+        (content({"polygon": [[1, 0], [1, 1], [1, 0], [0, 1]]}), "the polygon has no area"),
         (content({"polygon": [[0, 0], [1, 1], [1, 0], [0, 1]]}), "sides 1 and 3 of the polygon"),
         (content({"polygon": SQUARE}, image_size=[640]), "image_size takes [width, height]"),
         (content({"polygon": SQUARE}, image_size=[640, 0]), "image_size takes [width, height]"),

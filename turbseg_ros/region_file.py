@@ -12,6 +12,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from turbseg_ros.encoded_picture import PictureError, decoded
 from turbseg_ros.parameter_file import parsed
 from turbseg_ros.parameters import ParameterError, RegionsParameters
 from turbseg_ros.segmentation.marked_regions import (
@@ -33,6 +34,8 @@ _MAX_REGIONS = 100
 _MAX_CORNERS = 500
 _MAX_NAME = 60
 _MAX_SIDE = 100_000
+# Of the picture; less is what rounding leaves of none.
+_MIN_AREA = 1e-12
 # Brightness, of 255, from which a pixel of a mask counts as white.
 _WHITE = 128
 
@@ -72,15 +75,16 @@ def mask_picture(content: bytes, source: str) -> MaskPicture:
     """Return what is white in a picture of any format that OpenCV reads.
 
     :param source: what messages call the file.
-    :raises ParameterError: when it is no picture, or nothing of it is white; in one line.
+    :raises ParameterError: when it is no picture, or of more pixels than images may have, or
+        nothing of it is white; in one line.
     """
     try:
-        encoded = np.frombuffer(content, np.uint8)
-        picture = cv2.imdecode(encoded, cv2.IMREAD_GRAYSCALE) if len(encoded) else None
-    except cv2.error:
-        picture = None
-    if picture is None:
-        raise ParameterError(f"{source}: not a picture; polygons are named by regions.file")
+        picture = decoded(np.frombuffer(content, np.uint8), cv2.IMREAD_GRAYSCALE)
+    except PictureError as error:
+        reason = f" ({error})" if str(error) else ""
+        raise ParameterError(
+            f"{source}: not a picture{reason}; polygons are named by regions.file"
+        ) from error
     white = picture >= _WHITE
     if not white.any():
         raise ParameterError(f"{source}: nothing of the picture is white")
@@ -107,10 +111,7 @@ def _tree(content: bytes, is_json: bool) -> object:
         return json.loads(text) if is_json else parsed(text)
     except (ValueError, RecursionError) as error:
         reason = str(error) if isinstance(error, ParameterError) else f"not {kind} ({error})"
-        line = " ".join(reason.split())
-        # What is wrong may be quoted, whatever it is.
-        shown = "".join(letter if letter.isprintable() else "?" for letter in line)
-        raise _RegionError(shown) from error
+        raise _RegionError(reason) from error
 
 
 def _regions(tree: object, source: str) -> list[MarkedRegion]:
@@ -179,18 +180,22 @@ def _corners(polygon: object, size: Size | None) -> Corners:
         )
         raise _RegionError(f"corner [{x:g}, {y:g}] lies beyond {within}")
     corners = given / limits
-    if _area(corners) == 0.0:
-        raise _RegionError("the polygon has no area")
     crossing = _crossing_sides(corners)
     if crossing is not None:
         raise _RegionError(f"sides {crossing[0]} and {crossing[1]} of the polygon cross")
+    if _area(corners) == 0.0:
+        raise _RegionError("the polygon has no area")
     return corners
 
 
 def _area(corners: Corners) -> float:
-    """Return a measure of area that is 0 only where all corners lie on one line."""
-    spread = np.linalg.svd(corners - corners.mean(axis=0), compute_uv=False)
-    return float(spread[-1]) if spread[-1] > 1e-9 else 0.0
+    """Return the area of a polygon whose sides don't cross; 0 where they only go there and back.
+
+    It is that of the shoelace formula, of the whole picture 1.
+    """
+    x, y = (corners - corners.mean(axis=0)).T
+    area = abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1))) / 2
+    return area if area > _MIN_AREA else 0.0
 
 
 def _crossing_sides(corners: Corners) -> tuple[int, int] | None:

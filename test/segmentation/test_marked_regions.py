@@ -67,6 +67,14 @@ def test_a_polygon_marks_the_same_part_of_a_picture_of_any_size(
         assert side - 1.5 <= found <= side + 2.5
 
 
+def test_a_sliver_at_the_border_marks_the_pixels_there() -> None:
+    sliver = Polygon(np.array([[1.0, 0.0], [1.0, 1.0], [0.9999999, 0.5]]))
+    for size in ((1, 1), (16, 9), (9, 16)):
+        mask = sliver.mask(size)
+        assert mask[:, -1].any()
+        assert not mask[:, :-1].any()
+
+
 def test_where_nothing_is_included_all_is_looked_at_but_what_is_ignored() -> None:
     np.testing.assert_array_equal(fitted(marked(LEFT)).ignored((160, 96)), LEFT)
     assert not fitted().ignored((160, 96)).any()

@@ -11,9 +11,11 @@ from fractions import Fraction
 from pathlib import Path
 
 import cv2
+import numpy as np
 
 from turbseg_ros.arrays import Image
-from turbseg_ros.bag.errors import ClipError
+from turbseg_ros.bag.errors import ClipError, reading
+from turbseg_ros.encoded_picture import PictureError, decoded
 
 IMAGE_SUFFIXES = (
     *(".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp"),
@@ -162,10 +164,13 @@ def _read_pages(path: Path, count: int) -> Iterator[Image]:
 
 
 def _read_image(path: Path) -> Image:
-    image: Image | None = cv2.imread(str(path), _FLAGS)
-    if image is None:
-        raise ClipError(f"{path} is not an image that can be read")
-    return _without_alpha(image)
+    with reading(path):
+        content = path.read_bytes()
+    try:
+        return _without_alpha(decoded(np.frombuffer(content, np.uint8), _FLAGS))
+    except PictureError as error:
+        reason = f": {error}" if str(error) else ""
+        raise ClipError(f"{path} is not an image that can be read{reason}") from error
 
 
 def _without_alpha(image: Image) -> Image:

@@ -16,6 +16,7 @@ from builtin_interfaces.msg import Time
 from sensor_msgs.msg import CompressedImage, Image
 from std_msgs.msg import Header
 
+from turbseg_ros.encoded_picture import PictureError, decoded, is_png
 from turbseg_ros.messages.cdr import (
     CompressedImageView,
     ImageView,
@@ -29,9 +30,6 @@ from turbseg_ros.segmentation.frame import Frame
 AnyImage: TypeAlias = Image | CompressedImage | ImageView | CompressedImageView
 
 _NANOSECONDS = 1_000_000_000
-# A PNG is its signature and chunks: length, kind, so many bytes of data, checksum.
-_PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
-_PNG_CHUNK_FRAME = 12
 # What compressed_depth_image_transport puts ahead of the picture: a format, and two numbers that
 # make depth of what a picture of floats holds.
 _DEPTH_HEAD = struct.Struct("<iff")
@@ -317,7 +315,7 @@ def _decoded(message: CompressedImage | CompressedImageView) -> npt.NDArray[Any]
             "republish --ros-args -p in_transport:=... -p out_transport:=raw', or record it: "
             "turbseg_replay reads video"
         )
-    if "compressedDepth" in message.format or _is_png(data[_DEPTH_HEAD.size :]):
+    if "compressedDepth" in message.format or is_png(data[_DEPTH_HEAD.size :]):
         return _depth(data, message.format, what)
     return _picture(data, what)
 
@@ -325,7 +323,7 @@ def _decoded(message: CompressedImage | CompressedImageView) -> npt.NDArray[Any]
 def _depth(data: npt.NDArray[np.uint8], image_format: str, what: str) -> npt.NDArray[Any]:
     """Decode what compressed_depth_image_transport publishes: 16 bits, or floats in metres."""
     content = data[_DEPTH_HEAD.size :]
-    if not _is_png(content):
+    if not is_png(content):
         raise UnknownEncodingError(
             f"{what} is no PNG behind its head; make images of it with 'ros2 run image_transport "
             "republish --ros-args -p in_transport:=compressedDepth -p out_transport:=raw'"
@@ -340,36 +338,14 @@ def _depth(data: npt.NDArray[np.uint8], image_format: str, what: str) -> npt.NDA
 
 
 def _picture(data: npt.NDArray[np.uint8], what: str) -> npt.NDArray[Any]:
-    if _is_cut_png(data):
-        raise ImageDataError(f"{what} can't be decoded: it ends within a chunk")
     flags = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR | cv2.IMREAD_IGNORE_ORIENTATION
-    image: npt.NDArray[Any] | None
     try:
-        image = cv2.imdecode(data, flags) if data.size else None
-    except cv2.error as error:
-        raise ImageDataError(f"{what} can't be decoded: {error.err}") from error
-    if image is None:
-        raise ImageDataError(f"{what} can't be decoded")
+        image = decoded(data, flags)
+    except PictureError as error:
+        reason = f": {error}" if str(error) else ""
+        raise ImageDataError(f"{what} can't be decoded{reason}") from error
     if image.ndim == 3 and image.shape[2] == 4:  # 16-bit PNG keeps its alpha
         image = cv2.cvtColor(image, cv2.COLOR_BGRA2BGR)
     if image.dtype not in (np.uint8, np.uint16, np.float32):
         raise UnknownEncodingError(f"{what} holds {image.dtype}, which is not supported")
     return image
-
-
-def _is_png(data: npt.NDArray[np.uint8]) -> bool:
-    return data[: len(_PNG_SIGNATURE)].tobytes() == _PNG_SIGNATURE
-
-
-def _is_cut_png(data: npt.NDArray[np.uint8]) -> bool:
-    """Whether a PNG states more data than it has: OpenCV takes memory for all it states."""
-    if not _is_png(data):
-        return False
-    position = len(_PNG_SIGNATURE)
-    while position < data.size:
-        head = data[position : position + 8].tobytes()
-        length, kind = head[:4], head[4:]
-        position += _PNG_CHUNK_FRAME + int.from_bytes(length, "big")
-        if kind == b"IEND":
-            break
-    return position > data.size

@@ -80,15 +80,21 @@ class Polygon:
 
     def mask(self, size: Size) -> Mask:
         """Return what is marked; see `Shape`."""
-        drawn = np.zeros((size[1], size[0]), np.uint8)
         (pixels,) = self.contours(size)
-        cv2.fillPoly(drawn, [np.rint(pixels * (1 << _SHIFT)).astype(np.int32)], 1, 8, _SHIFT)
-        return drawn > 0
+        drawn = _filled(pixels, size)
+        # A sliver at the border may lie beyond the last pixels' centres.
+        return drawn if drawn.any() else _filled(np.clip(pixels, 0, np.array(size) - 1), size)
 
     def contours(self, size: Size) -> list[Corners]:
         """Return its border; see `Shape`."""
         # Pixel centres lie at whole numbers, so that the picture begins half a pixel before 0.
         return [self.corners * size - 0.5]
+
+
+def _filled(pixels: Corners, size: Size) -> Mask:
+    drawn = np.zeros((size[1], size[0]), np.uint8)
+    cv2.fillPoly(drawn, [np.rint(pixels * (1 << _SHIFT)).astype(np.int32)], 1, 8, _SHIFT)
+    return drawn > 0
 
 
 @dataclass(frozen=True, eq=False)
