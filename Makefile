@@ -78,10 +78,11 @@ soak: venv ## tests that take minutes each
 
 # Coverage-guided fuzzing, so many minutes for each harness; a finding ends it and is kept.
 FUZZ_MINUTES ?= 5
+FUZZ_HARNESSES := $(sort $(basename $(notdir $(wildcard test/fuzz/*.py))))
 FUZZ_LIMITS = -max_total_time=$$((60 * $(FUZZ_MINUTES))) -rss_limit_mb=2048 -timeout=30
 fuzz: venv ## coverage-guided fuzzing (FUZZ_MINUTES=5 for each harness)
 	$(BIN)/python -m pip install --quiet $(CONSTRAINTS) --no-build-isolation --editable '.[fuzz]'
-	for harness in bag_reader images regions; do \
+	for harness in $(FUZZ_HARNESSES); do \
 	    found=out/fuzz/$$harness; mkdir -p $$found/findings && \
 	    $(BIN)/python test/fuzz/$$harness.py $(FUZZ_LIMITS) -artifact_prefix=$$found/findings/ \
 	        $$found test/fuzz/corpus/$$harness || exit 1; \

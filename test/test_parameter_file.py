@@ -116,6 +116,20 @@ def test_sections_speak_to_the_nodes_that_ros_gives_them_to(
     assert read == given_by_ros
 
 
+def test_patterns_of_many_wildcards_are_matched_at_once(tmp_path: Path) -> None:
+    name = "a/" * 30 + "turbseg"
+    text = section({"seed.size": 5}, name) + section({"seed.size": 7}, "/**" * 30 + "/b")
+    assert load_parameters(write(tmp_path, text)).seed.size == 5
+    text += section({"seed.size": 9}, "/**" * 30 + "/turbseg")
+    assert load_parameters(write(tmp_path, text)).seed.size == 9
+
+
+def test_a_number_of_many_digits_is_too_large(tmp_path: Path) -> None:
+    file = write(tmp_path, f"/**: {{ros__parameters: {{max_objects: {'9' * 5000}}}}}")
+    with pytest.raises(ParameterError, match="max_objects takes a whole number"):
+        load_parameters(file)
+
+
 def values_of_ros(file: Path, context: Context) -> dict[str, object]:
     """Return what ROS itself makes of a parameter file, for a node /turbseg."""
     node = Node(

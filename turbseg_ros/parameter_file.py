@@ -26,6 +26,8 @@ _FALSE = ("N", "n", "no", "No", "NO", "false", "False", "FALSE", "off", "Off", "
 # What C's strtol takes with base 0: hexadecimal, octal with a zero ahead, decimal.
 _INTEGER = re.compile(r"[+-]?(?:0[xX](?P<hex>[0-9a-fA-F]+)|0(?P<octal>[0-7]*)|[1-9][0-9]*)")
 _MAX_INTEGER = 2**63 - 1
+# Longer ones are too large, unless for zeros ahead; Python refuses to read very long ones.
+_MAX_DIGITS = 1000
 # What C's strtod takes, and YAML's own spelling of what is not finite.
 _DECIMAL = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _HEXADECIMAL = re.compile(
@@ -122,7 +124,7 @@ def scalar(text: str) -> bool | int | float | str:
     if text in _TRUE or text in _FALSE:
         return text in _TRUE
     whole = _INTEGER.fullmatch(text)
-    if whole is not None:
+    if whole is not None and len(text) <= _MAX_DIGITS:
         base = 16 if whole["hex"] else 8 if whole["octal"] else 10
         number = int(text, base)
         if -_MAX_INTEGER - 1 <= number <= _MAX_INTEGER:
@@ -194,9 +196,18 @@ def _absolute(name: str) -> str:
 
 def _matches(pattern: str, node: str) -> bool:
     """Whether a name pattern holds for a node, by the rules of rcl's parameter files."""
-    tokens = {"*": "/[^/]+", "**": "(/[^/]+)*"}
-    parts = (tokens.get(token, "/" + re.escape(token)) for token in pattern.split("/")[1:])
-    return re.fullmatch("".join(parts), node) is not None
+    tokens = node.split("/")[1:]
+    # How many tokens of the name what was looked at of the pattern can stand for.
+    reached = {0}
+    for part in pattern.split("/")[1:]:
+        if part == "**":
+            reached = set(range(min(reached), len(tokens) + 1))
+        else:
+            fitting = {count for count in reached if part in ("*", *tokens[count : count + 1])}
+            reached = {count + 1 for count in fitting if count < len(tokens)}
+        if not reached:
+            return False
+    return len(tokens) in reached
 
 
 def _flattened(tree: Mapping[Any, object], prefix: str = "") -> dict[str, object]:

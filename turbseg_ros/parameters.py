@@ -19,6 +19,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
+from turbseg_ros.one_line import printable
+
 Value = bool | int | float | str
 
 T = TypeVar("T")
@@ -35,12 +37,21 @@ _REPLACED = {"tracking.travel": "tracking.false_alarms_per_hour"}
 _MIDDLEWARE_NAMES = ("use_sim_time", "qos_overrides", "start_type_description_service")
 
 
+# What is quoted of a file may make up of an error's text.
+_MAX_LENGTH = 1000
 # Names a class of the user's own: package.module:Class.
 _CLASS_NAME = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 
 
 class ParameterError(ValueError):
-    """A parameter that is unknown, of the wrong type or out of range; the text says which."""
+    """A parameter that is unknown, of the wrong type or out of range; the text says which.
+
+    It is one line. Names and values in it may come from a file: what a terminal would obey is
+    written out.
+    """
+
+    def __init__(self, text: str) -> None:
+        super().__init__(printable(text, _MAX_LENGTH))
 
 
 class UnknownParameterError(ParameterError):

@@ -15,7 +15,12 @@ from turbseg_ros.bag.reader import BagReader
 from turbseg_ros.cli.import_ import main
 from turbseg_ros.datasets.boxes import read_boxes
 from turbseg_ros.datasets.regions import read_region
-from turbseg_ros.messages.detections import IGNORED, Detection, detections_from
+from turbseg_ros.messages.detections import (
+    IGNORED,
+    Detection,
+    detections_from,
+    serialised_detections,
+)
 from turbseg_ros.messages.images import image_from_message
 from turbseg_ros.parameters import ParameterError
 
@@ -86,6 +91,11 @@ def test_lists_have_a_box_or_nothing_a_frame(tmp_path: Path) -> None:
         ("boxes.json", {"near": [[1, 2]]}, "holds no boxes"),
         ("boxes.json", {"north": [], "south": []}, "no clips called near"),
         ("vid.json", {"images": [{}], "annotations": []}, "holds no boxes"),
+        # No field of text may be as long as these for Python's reader of CSV.
+        ("gt.txt", "x" * 200_000, "line 1: too few columns"),
+        ("gt.txt", "1,4,1,2,1e308,1.7e308", "line 1: no box"),
+        ("boxes.json", {"near": [[10**400, 2, 3, 4]]}, "holds no boxes"),
+        ("boxes.json", {"near": [[1e308, 2, 1.7e308, 4]]}, "holds no boxes"),
     ],
 )
 def test_what_holds_no_boxes_is_refused(
@@ -93,6 +103,16 @@ def test_what_holds_no_boxes_is_refused(
 ) -> None:
     with pytest.raises(ClipError, match=complaint):
         read_boxes(written(tmp_path / name, content), "near")
+
+
+def test_names_that_are_no_text_are_written_as_text(tmp_path: Path) -> None:
+    # Half of a character, as JSON may hold it.
+    odd = {"id": 1, "image_id": 10, "bbox": [1, 2, 3, 4], "instance_id": "a\ud800"}
+    content = {"images": [{"id": 10}], "annotations": [odd]}
+    boxes = read_boxes(written(tmp_path / "vid.json", content), "near").at(0)
+    assert boxes is not None
+    _, read = detections_from(memoryview(serialised_detections(boxes, 0)))
+    assert [each.id for each in read] == ["a?"]
 
 
 def polygons(*corners: list[list[float]], kind: str = "include") -> dict[str, Any]:

@@ -97,6 +97,26 @@ def test_other_coefficients_leave_markers_in_pixels_and_are_told_once(
     assert "\n" not in told[0]
 
 
+@pytest.mark.parametrize("place", [0, 2, 4, 5])
+@pytest.mark.parametrize("value", [5e-324, 1e308, -1e308])
+def test_a_matrix_of_no_camera_leaves_markers_in_pixels(place: int, value: float) -> None:
+    told: list[str] = []
+    markers = CentroidMarkers(on_misfit=told.append)
+    info = camera_info()
+    info.k[place] = value
+    markers.calibrate(info)
+    for marker in markers.message(result()).markers:
+        numbers = (marker.pose.position.x, marker.pose.position.y, marker.scale.x, marker.scale.y)
+        assert np.isfinite(numbers).all()
+    assert isinstance(markers.plane, PixelPlane) == bool(told)
+
+
+def test_a_model_that_is_no_text_for_a_terminal_is_written_out() -> None:
+    with pytest.raises(ValueError, match=r"model 'a\\x1b\[2J';") as caught:
+        UnitDepthPlane.from_camera_info(camera_info(model="a\x1b[2J"))
+    assert str(caught.value).isprintable()
+
+
 def test_a_calibration_that_comes_after_a_bad_one_is_taken() -> None:
     markers = CentroidMarkers()
     markers.calibrate(camera_info(SIX))

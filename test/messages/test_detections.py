@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import struct
 
 import pytest
 from hypothesis import given
@@ -92,7 +91,7 @@ def test_of_several_hypotheses_the_surest_counts_and_rotated_boxes_stand_upright
     assert (read.id, read.class_id, read.score) == ("7", "van", 0.5)
 
 
-@pytest.mark.parametrize("value", [math.nan, math.inf, -1.0])
+@pytest.mark.parametrize("value", [math.nan, math.inf, -1.0, 1.7e308])
 def test_boxes_that_are_none_are_refused(value: float) -> None:
     box = (0.0, 0.0, value, 1.0)
     with pytest.raises(SerialisedDataError):
@@ -102,5 +101,5 @@ def test_boxes_that_are_none_are_refused(value: float) -> None:
 def test_cut_messages_are_refused() -> None:
     whole = serialised_detections([Detection((1, 2, 3, 4), "1")], STAMP)
     for length in range(len(whole)):
-        with pytest.raises((SerialisedDataError, struct.error)):
+        with pytest.raises(SerialisedDataError):
             detections_from(memoryview(whole[:length]))

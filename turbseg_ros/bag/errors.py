@@ -6,6 +6,8 @@ import contextlib
 from collections.abc import Iterator
 from pathlib import Path
 
+from turbseg_ros.one_line import printable
+
 # What a name from a bag may take up of an error's text.
 _MAX_LENGTH = 1000
 
@@ -18,13 +20,6 @@ class BagError(Exception):
 
     def __init__(self, text: str) -> None:
         super().__init__(printable(text, _MAX_LENGTH))
-
-
-def printable(text: str, longest: int) -> str:
-    """Return a text as one line of so many characters at most, control characters written out."""
-    line = " ".join(text.split())
-    shown = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line[:longest])
-    return shown + "..." * (len(line) > longest)
 
 
 class ClipError(BagError):

@@ -20,7 +20,7 @@ from rclpy.qos import QoSProfile
 
 from turbseg_ros.bag import qos as qos_format
 from turbseg_ros.bag.compression import is_compressed, unpack, unpacked_message
-from turbseg_ros.bag.errors import BagError, printable, reading
+from turbseg_ros.bag.errors import BagError, reading
 from turbseg_ros.bag.layout import find_layout, shortened
 from turbseg_ros.bag.mcap_file import open_mcap
 from turbseg_ros.bag.records import IMAGE_TYPES, BagFile, Record, Stream, Topic
@@ -33,6 +33,7 @@ from turbseg_ros.bag.rosbags_file import (
 from turbseg_ros.bag.section import WHOLE, Section
 from turbseg_ros.bag.topics import is_result
 from turbseg_ros.dependencies import how_to_install
+from turbseg_ros.one_line import printable
 
 _LOGGER = logging.getLogger(__name__)
 

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import csv
 import json
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from turbseg_ros.bag.errors import ClipError, reading
-from turbseg_ros.messages.detections import IGNORED, Box, Detection
+from turbseg_ros.messages.detections import IGNORED, Box, Detection, is_box
 
 # The object of files that name none.
 _ONLY_OBJECT = "1"
@@ -65,7 +63,10 @@ def read_boxes(path: Path, clip: str) -> BoxTruth:
         if "images" in content and "annotations" in content:
             return _from_coco(path, content, clip)
         return _from_lists(path, content, clip)
-    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+    except (
+        *(ValueError, OverflowError, TypeError),
+        *(KeyError, AttributeError, RecursionError),
+    ) as error:
         raise ClipError(
             f"{path} holds no boxes: neither COCO-VID nor lists of [left, top, width, height] "
             f"({type(error).__name__}: {error})"
@@ -74,7 +75,8 @@ def read_boxes(path: Path, clip: str) -> BoxTruth:
 
 def _from_mot(path: Path, text: str) -> BoxTruth:
     found: list[tuple[int, Detection]] = []
-    for number, row in enumerate(csv.reader(text.splitlines()), start=1):
+    for number, line in enumerate(text.splitlines(), start=1):
+        row = line.split(",")
         if not any(cell.strip() for cell in row):
             continue
         try:
@@ -110,7 +112,8 @@ def _from_coco(path: Path, content: Mapping[str, Any], clip: str) -> BoxTruth:
         its_class = classes.get(annotation.get("category_id"), "")
         its_id = annotation.get("instance_id", annotation.get("track_id", annotation["id"]))
         box = _box(annotation["bbox"])
-        found.append((number, Detection(box, str(its_id), IGNORED if ignored else its_class)))
+        its_class = IGNORED if ignored else its_class
+        found.append((number, Detection(box, _text(its_id), _text(its_class))))
     return BoxTruth(_by_frame(found), len(images))
 
 
@@ -135,9 +138,14 @@ def _one_of(clips: Mapping[str, Any], clip: str, path: Path) -> Any:
 
 def _box(values: Sequence[float]) -> Box:
     left, top, width, height = map(float, values)
-    if not all(map(math.isfinite, (left, top, width, height))) or min(width, height) < 0:
+    if not is_box((left, top, width, height)):
         raise ValueError(f"no box: {list(values)}")
     return left, top, width, height
+
+
+def _text(value: object) -> str:
+    """Return what messages can carry: JSON may hold halves of characters."""
+    return str(value).encode(errors="replace").decode()
 
 
 def _by_frame(found: Iterable[tuple[int, Detection]]) -> dict[int, tuple[Detection, ...]]:

@@ -52,6 +52,8 @@ DEPENDENCIES = (
 IGNORED = "ignored"
 """The class of what is neither an object nor false when it is found."""
 
+# Away from a picture's corner; far beyond any picture.
+_MAX_PIXELS = 1e9
 # A PoseWithCovariance: position, orientation and covariance.
 _POSE_NUMBERS = 3 + 4 + 36
 
@@ -64,6 +66,14 @@ class Detection:
     id: str
     class_id: str = ""
     score: float = 1.0
+
+
+def is_box(numbers: Sequence[float]) -> bool:
+    """Whether a point, a width and a height make a box of a picture: finite, and none negative.
+
+    Sums of what is near the end of the numbers' range would be infinite.
+    """
+    return all(abs(number) < _MAX_PIXELS for number in numbers) and min(numbers[2:]) >= 0.0
 
 
 def serialised_detections(
@@ -111,8 +121,8 @@ def _detection(fields: FieldReader) -> Detection:
         for _ in range(_POSE_NUMBERS):
             fields.real()
     x, y, theta, width, height = (fields.real() for _ in range(5))
-    if not all(map(math.isfinite, (x, y, theta, width, height))) or min(width, height) < 0:
-        raise SerialisedDataError("a box is not finite, or smaller than nothing")
+    if not math.isfinite(theta) or not is_box((x, y, width, height)):
+        raise SerialisedDataError("a box is smaller than nothing, or beyond any picture")
     cosine, sine = abs(math.cos(theta)), abs(math.sin(theta))
     upright = width * cosine + height * sine, width * sine + height * cosine
     box = (x - upright[0] / 2, y - upright[1] / 2, *upright)

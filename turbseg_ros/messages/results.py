@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import functools
 import math
+import reprlib
 from collections import defaultdict
 from collections.abc import Callable, Collection, Hashable, Sequence
 from dataclasses import dataclass
@@ -219,10 +220,12 @@ class UnitDepthPlane:
             raise ValueError("camera_info holds no calibration (K is not finite)")
         if not (matrix[0, 0] > 0.0 and matrix[1, 1] > 0.0):
             raise ValueError("camera_info holds no calibration (K is zero)")
+        if min(matrix[0, 0], matrix[1, 1]) < _MIN_FOCAL or np.abs(matrix).max() > _MAX_PIXELS:
+            raise ValueError("camera_info holds no calibration (K is that of no camera)")
         model = camera_info.distortion_model
         if model not in _MODELS:
             raise ValueError(
-                f"camera_info has distortion model {model[:100]}; "
+                f"camera_info has distortion model {reprlib.repr(model)}; "
                 "markers take plumb_bob, rational_polynomial or equidistant"
             )
         binning, offset = _view(camera_info, image_size)
@@ -263,6 +266,8 @@ _MODELS = ("", "plumb_bob", "rational_polynomial", *_FISHEYE_MODELS)
 # How many coefficients OpenCV takes; rational_polynomial goes on where plumb_bob ends.
 _COUNTS = (0, 4, 5, 8, 12, 14)
 _FISHEYE_COUNT = 4
+# Pixels; beyond these, what is computed may be infinite.
+_MIN_FOCAL, _MAX_PIXELS = 1e-3, 1e9
 # Metres aside at one metre's distance: 89.9 degrees.
 _MAX_RAY = 600.0
 # Share by which the sides' proportions may differ in an image that is the same view, scaled.

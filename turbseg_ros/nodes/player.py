@@ -21,11 +21,12 @@ from rclpy.validate_full_topic_name import validate_full_topic_name
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 
-from turbseg_ros.bag.errors import BagError, printable
+from turbseg_ros.bag.errors import BagError
 from turbseg_ros.bag.reader import BagReader
 from turbseg_ros.bag.records import Record, Topic
 from turbseg_ros.bag.schema import message_class
 from turbseg_ros.bag.stamps import header_stamp, restamped
+from turbseg_ros.one_line import printable
 
 _CLOCK_TOPIC = "/clock"
 _CLOCK_PERIOD = 0.01  # seconds
