@@ -12,12 +12,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import cv2
 import lz4.frame
 import numpy as np
 import pytest
 import yaml
 import zstandard
-from mcap.writer import CompressionType
+from mcap.writer import CompressionType, IndexType
 from mcap.writer import Writer as McapWriter
 from rclpy.qos import DurabilityPolicy
 from rclpy.serialization import serialize_message
@@ -26,11 +27,12 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
 from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-from sensor_msgs.msg import Image
+from sensor_msgs.msg import CompressedImage, Image
 from std_msgs.msg import Int32, String
 from visualization_msgs.msg import MarkerArray
 
 from turbseg_ros.bag.errors import BagError
+from turbseg_ros.bag.frames import BagFrames
 from turbseg_ros.bag.reader import BagReader
 from turbseg_ros.bag.rosbags_file import ros1_converter
 from turbseg_ros.bag.schema import canonical_type_name, message_definition
@@ -98,6 +100,101 @@ def without_rosbags(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "rosbags", None)
     ros1_converter.cache_clear()
+
+
+def write_images(
+    file: Path,
+    messages: dict[str, list[bytes]],
+    kind: str = IMAGE,
+    **options: Any,
+) -> Path:
+    """Write serialised images on topics, recorded at START and on."""
+    with file.open("wb") as stream:
+        writer = McapWriter(stream, **options)
+        writer.start(profile="ros2", library="another recorder")
+        schema = writer.register_schema(kind, "ros2msg", message_definition(kind).text.encode())
+        for topic, listed in messages.items():
+            channel = writer.register_channel(topic, "cdr", schema, {})
+            for number, data in enumerate(listed):
+                writer.add_message(channel, START + number, data, START + number)
+        writer.finish()
+    return file
+
+
+def test_a_recording_of_a_topic_that_was_not_heard_says_so(tmp_path: Path) -> None:
+    file = write_images(tmp_path / "a.mcap", {TOPIC: []})
+    with pytest.raises(BagError, match=r"; nothing was recorded of /camera/image_raw:"):
+        BagReader(file).find_image_topic()
+
+
+@pytest.mark.parametrize("statistics", [True, False])
+def test_of_many_cameras_the_only_one_that_was_heard_is_taken(
+    tmp_path: Path, statistics: bool
+) -> None:
+    heard = {"/one/image_raw": [], TOPIC: [*map(cdr, range(COUNT))], "/other/image_raw": []}
+    file = write_images(tmp_path / "a.mcap", heard, use_statistics=statistics)
+    assert read_numbers(BagReader(file)) == [*range(COUNT)]
+
+
+@pytest.mark.parametrize("index", [IndexType.NONE, IndexType.CHUNK, IndexType.ALL])
+def test_a_converted_file_without_message_indexes_is_read(
+    tmp_path: Path, index: IndexType
+) -> None:
+    file = write_mcap(tmp_path / "a.mcap", index_types=index)
+    assert read_numbers(BagReader(file)) == [*range(COUNT)]
+
+
+def test_images_that_a_converter_left_empty_are_skipped_and_told(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    file = write_images(tmp_path / "a.mcap", {TOPIC: [b""] * COUNT})
+    frames = BagFrames(BagReader(file), TOPIC)
+    assert list(frames) == []
+    assert frames.skipped == COUNT
+    assert any("image message is empty" in line for line in warnings(caplog))
+
+
+def test_a_schema_without_text_and_a_profile_of_another_tool_change_nothing(
+    tmp_path: Path,
+) -> None:
+    with (tmp_path / "a.mcap").open("wb") as stream:
+        writer = McapWriter(stream)
+        writer.start(profile="data_tool", library="another recorder")
+        channel = writer.register_channel(TOPIC, "cdr", writer.register_schema(IMAGE, "", b""))
+        for number in range(COUNT):
+            writer.add_message(channel, START + number, cdr(number), START + number)
+        writer.finish()
+    assert read_numbers(BagReader(tmp_path / "a.mcap")) == [*range(COUNT)]
+
+
+def test_a_recorder_that_stalls_and_writes_all_at_once_loses_no_frame(tmp_path: Path) -> None:
+    period = 10**9 // 30
+    with BagWriter(tmp_path / "bag") as bag:
+        for number in range(40):
+            stalled = 10 <= number < 34
+            recorded = 34 * period - (34 - number) * 1000 if stalled else number * period
+            image = np.full((6, 8), number, np.uint8)
+            stamped = message_from_image(image, "mono8", START + number * period)
+            bag.write(TOPIC, stamped, START + recorded)
+    frames = list(BagFrames(BagReader(tmp_path / "bag"), TOPIC))
+    assert [frame.stamp for frame in frames] == [START + k * period for k in range(40)]
+    assert not any(frame.begins_stream for frame in frames)
+
+
+@pytest.mark.parametrize(
+    "image_format", ["jpeg", "rgb8; jpeg compressed; bgr8", "bgr8; png compressed ", "", "JPG"]
+)
+def test_a_compressed_image_is_read_whatever_its_format_is_called(
+    tmp_path: Path, image_format: str
+) -> None:
+    message = CompressedImage(format=image_format)
+    message.data.frombytes(cv2.imencode(".jpg", np.full((6, 8, 3), 90, np.uint8))[1].tobytes())
+    topic = f"{TOPIC}/compressed"
+    data = [serialize_message(message)]
+    kind = "sensor_msgs/msg/CompressedImage"
+    reader = BagReader(write_images(tmp_path / "a.mcap", {topic: data}, kind))
+    (frame,) = BagFrames(reader, reader.find_image_topic())
+    assert frame.image.shape == (6, 8, 3)
 
 
 # --- Channels that are none of ours -------------------------------------------------------------

@@ -105,7 +105,7 @@ def test_any_bytes_give_a_frame_or_a_refusal(data, kind):
 
 @pytest.mark.parametrize("data", [b"", b"\0", b"\0\2" + bytes(100), b"\xff" * 100])
 def test_a_format_that_is_not_known_is_refused(data):
-    with pytest.raises(ImageConversionError, match="format that is not known"):
+    with pytest.raises(ImageConversionError, match=r"not known|message is empty"):
         frame_from_serialised(memoryview(data), Image)
 
 

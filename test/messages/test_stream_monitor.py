@@ -183,3 +183,56 @@ def test_a_long_pause_does_not_make_the_monitor_patient(monitor):
 )
 def test_stamps_tell_messages_apart_where_most_differ(stamps, tell):
     assert stamps_tell(stamps) is tell
+
+
+THIRTIETH = 10**9 // 30
+
+
+@pytest.mark.parametrize(
+    ("offset", "rate"),
+    [(-150 * MS, 1.0), (37 * 10**9, 1.0), (-EPOCH + 1, 1.0), (0, 1.02)],
+    ids=["stamped late", "another leap second", "since the camera began", "a clock that drifts"],
+)
+def test_a_clock_of_the_cameras_own_is_believed(offset, rate):
+    times = [number * THIRTIETH for number in range(150)]
+    stamps = [EPOCH + offset + round(time * rate) for time in times]
+    verdicts = stream(StreamMonitor(), stamps, times)
+    assert {verdict.action for verdict in verdicts} == {Action.CONTINUE}
+    assert [verdict.frame.stamp for verdict in verdicts] == stamps
+    assert verdicts[-1].frame.period == pytest.approx(rate / 30, rel=1e-3)
+
+
+def test_images_that_arrive_in_bursts_keep_the_rate_of_their_stamps():
+    stamps = [EPOCH + number * THIRTIETH for number in range(150)]
+    arrivals = [(number // 6 + 1) * 6 * THIRTIETH + number % 6 * MS for number in range(150)]
+    verdicts = stream(StreamMonitor(), stamps, arrivals)
+    assert {verdict.action for verdict in verdicts} == {Action.CONTINUE}
+    assert verdicts[-1].frame.period == pytest.approx(1 / 30)
+
+
+@pytest.mark.parametrize("burst", [2, 3, 4, 6])
+def test_images_that_are_stamped_in_bursts_are_not_taken_for_a_fast_camera(burst):
+    times = [
+        (number // burst + 1) * burst * THIRTIETH + number % burst * MS for number in range(150)
+    ]
+    monitor = StreamMonitor()
+    verdicts = stream(monitor, [EPOCH + time for time in times], times)
+    assert {verdict.action for verdict in verdicts} == {Action.CONTINUE}
+    assert 0.5 / 30 < verdicts[-1].frame.period < 2.1 / 30
+
+
+@pytest.mark.parametrize("jump", [-120, 4.4, -2 * 10**8])
+def test_a_clock_that_is_set_anew_begins_one_new_stream(jump):
+    times = [number * THIRTIETH for number in range(150)]
+    stamps = [EPOCH + time + round(jump * 1e9) * (time >= 2 * 10**9) for time in times]
+    verdicts = stream(StreamMonitor(), stamps, times)
+    assert [verdict.action for verdict in verdicts].count(Action.RESTART) == 1
+    assert Action.SKIP not in {verdict.action for verdict in verdicts}
+
+
+def test_stamps_that_are_rounded_now_and_then_cost_those_that_seem_late():
+    times = [number * THIRTIETH for number in range(160)]
+    stamps = [EPOCH + time - 40 * MS * (number % 8 == 5) for number, time in enumerate(times)]
+    verdicts = stream(StreamMonitor(), stamps, times)
+    assert [verdict.action for verdict in verdicts].count(Action.SKIP) <= 20
+    assert Action.RESTART not in {verdict.action for verdict in verdicts}

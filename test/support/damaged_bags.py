@@ -144,12 +144,58 @@ TONES: dict[str, Callable[[Image, int], Image]] = {
     "1 % of hot pixels": lambda scene, k: with_defects(scene, 16000),
     "1 % of dead pixels": lambda scene, k: with_defects(scene, 0),
     "a sky of 15 %": under_a_sky,
+    "another gain from frame 12 on": lambda scene, k: (
+        7900 + 0.35 * (scene - 7000) if k >= 12 else scene
+    ),
     "both": lambda scene, k: with_hot_spot(under_a_sky(scene, k), 0.01),
 }
 
 
-def report(name: str, images: Sequence[Image], truth: Sequence[Image], out: Sequence[int]) -> None:
-    """Segment images; print J without some of them, and the ids."""
+def banded(image: Image, number: int, depth: float) -> Image:
+    """Return a picture under mains light, which a rolling shutter makes bands of that wander."""
+    rows = np.arange(len(image))[:, None] / len(image)
+    return np.asarray(image * (1 + depth * np.sin(2 * np.pi * (1.7 * rows + 0.23 * number))))
+
+
+def stretched(image: Image, number: int) -> Image:
+    """Return a picture whose range a camera fits to each frame, of which some hold a flash."""
+    scene = image.copy()
+    if number % 3 == 0:
+        scene[5:9, 5:9] = 400
+    return np.asarray((scene - scene.min()) / (scene.max() - scene.min()) * 255)
+
+
+def local_contrast(image: Image, number: int) -> Image:
+    """Return a picture as cameras with local contrast enhancement give it."""
+    return np.asarray(cv2.createCLAHE(4.0, (8, 8)).apply(image.astype(np.uint8)))
+
+
+CONTROLS: dict[str, Damage] = {
+    "a range fitted to each frame": lambda f, k: stretched(f[k], k),
+    "a gain that swings by a third": lambda f, k: f[k] * (1 + 0.35 * np.sin(2 * np.pi * k / 30)),
+    "bands of 15 %": lambda f, k: banded(f[k], k, 0.15),
+    "two exposures in turn, 1.6 apart": lambda f, k: f[k] * (1.6 if k % 2 else 1.0),
+    "two exposures by threes": lambda f, k: f[k] * (1.6 if k // 3 % 2 else 1.0),
+    "a dip each second": lambda f, k: f[k] * (0.6 if k % 30 in (14, 15) else 1.0),
+    "two exposures by eights": lambda f, k: f[k] * 0.55 + 12 if k // 8 % 2 else f[k],
+    "a slow start from the dark": lambda f, k: f[k] * (0.25 + 0.75 * min(1.0, k / 40)),
+    "local contrast": lambda f, k: local_contrast(f[k], k),
+    "bands of 30 %": lambda f, k: banded(f[k], k, 0.3),
+}
+"""Automatic controls, of grey frames as floats."""
+
+
+def controlled(kind: str, images: Sequence[Image]) -> list[Image]:
+    """Return grey frames as a camera with an automatic control gives them."""
+    scenes = [image.astype(np.float32) for image in images]
+    given = (CONTROLS[kind](scenes, number) for number in range(len(scenes)))
+    return [np.asarray(image).clip(0, 255).astype(np.uint8) for image in given]
+
+
+def scored(
+    images: Sequence[Image], truth: Sequence[Image], out: Sequence[int] = ()
+) -> tuple[float, list[int]]:
+    """Segment images; return J without some of them, and the ids."""
     with motion_segmenter(Parameters()) as segmenter:
         results = [r for k, image in enumerate(images) for r in segmenter.push(Frame(k, image))]
         results += segmenter.flush()
@@ -160,7 +206,15 @@ def report(name: str, images: Sequence[Image], truth: Sequence[Image], out: Sequ
         if number not in out:
             scores.append(np.count_nonzero(found & there) / union if union else 1.0)
     ids = sorted({moving.id for result in results for moving in result.objects})
-    print(f"{name}: J {np.mean(scores):.3f}, ids {ids}", flush=True)
+    return float(np.mean(scores)), ids
+
+
+def report(
+    name: str, images: Sequence[Image], truth: Sequence[Image], out: Sequence[int] = ()
+) -> None:
+    """Segment images; print J without some of them, and the ids."""
+    j, ids = scored(images, truth, out)
+    print(f"{name}: J {j:.3f}, ids {ids}", flush=True)
 
 
 def main() -> int:
@@ -172,7 +226,9 @@ def main() -> int:
     images, truth = clip("normal")
     for name, gains in BALANCES.items():
         balanced = [coloured(image, gains(k)) for k, image in enumerate(images)]
-        report(f"normal in colours, white balance: {name}", balanced, truth, ())
+        report(f"normal in colours, white balance: {name}", balanced, truth)
+    for kind in CONTROLS:
+        report(f"normal, {kind}", controlled(kind, images), truth)
     images, truth = clip("thermal")
     low, high = np.percentile(images[0], [0.5, 99.5])
     for name, add in TONES.items():
@@ -180,7 +236,7 @@ def main() -> int:
         for number, image in enumerate(images):
             scene = 7000 + (image.astype(np.float32) - low) / (high - low) * 300
             deep.append(add(scene, number).clip(0, 65535).astype(np.uint16))
-        report(f"thermal, 300 counts, with {name}", deep, truth, ())
+        report(f"thermal, 300 counts, with {name}", deep, truth)
     return 0
 
 

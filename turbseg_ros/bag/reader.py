@@ -152,9 +152,19 @@ class BagReader:
         ]
         inputs = [name for name in inputs if not _is_other_transport(name, inputs)]
         if not inputs:
+            empty = [
+                name
+                for name, kind in types.items()
+                if kind in IMAGE_TYPES and not self.topics[name].message_count
+            ]
+            unheard = (
+                f"; nothing was recorded of {_listed(empty)}: a recorder that asks for more "
+                "reliability than is offered hears nothing"
+            )
             raise BagError(
                 f"{self.path} has no image topic to segment; its topics: "
                 f"{_listed([f'{name} ({kind})' for name, kind in types.items()])}"
+                + (unheard if empty else "")
                 + (f"; left out: {_listed(self._left_out)}" if self._left_out else "")
             )
         if len(inputs) > 1:

@@ -141,6 +141,8 @@ class FieldReader:
     """The fields of a serialised message, one after the other."""
 
     def __init__(self, serialised: memoryview) -> None:
+        if not serialised:
+            raise SerialisedDataError("message is empty")
         kind = bytes(serialised[:2])
         if kind not in _BYTE_ORDERS:
             raise SerialisedDataError(f"message in a format that is not known ({kind.hex()})")

@@ -32,6 +32,8 @@ _MAX_PATIENCE = 60.0
 # Spacings that are kept across a pause: the pause, which may be a slow camera's first, must not
 # outvote them, and three slow ones must.
 _STEPS_KEPT = 2
+# Spacings that are averaged where most are far shorter than that, as those within a burst.
+_AVERAGED = 4
 # Of the last so many frames, those whose stamps say nothing: from then on no stamp is believed,
 # until as many in a row have been sound.
 _MAX_UNSOUND, _SOUND_FRAMES = 3, 16
@@ -119,13 +121,13 @@ class StreamMonitor:
     @property
     def patience(self) -> float:
         """Seconds without a frame after which the stream has paused."""
-        return patience_for(self._arrival_steps.median)
+        return patience_for(self._arrival_steps.usual)
 
     @property
     def period(self) -> float | None:
         """Seconds from one frame to the next; None while unknown."""
-        median = self._steps.median
-        return median if median > _MIN_PERIOD else None
+        usual = self._steps.usual
+        return usual if usual > _MIN_PERIOD else None
 
     def judge(
         self,
@@ -214,11 +216,11 @@ class StreamMonitor:
 
     @property
     def _lateness(self) -> float:
-        return max(_LATE_SECONDS, _LATE_PERIODS * self._steps.median)
+        return max(_LATE_SECONDS, _LATE_PERIODS * self._steps.usual)
 
     @property
     def _max_gap(self) -> float:
-        period = self._steps.median
+        period = self._steps.usual
         return patience_for(period) if period else _FIRST_GAP_SECONDS
 
     def _compare(
@@ -274,9 +276,19 @@ class _Steps:
         self._steps = deque(list(self._steps)[-_STEPS_KEPT:], maxlen=_RATE_FRAMES - 1)
 
     @property
-    def median(self) -> float:
-        """Seconds; 0 while unknown. Of two, the smaller one: the other may be a pause."""
-        return statistics.median_low(self._steps) if self._steps else 0.0
+    def usual(self) -> float:
+        """Seconds; 0 while unknown. The median; where times come in bursts, that of averages."""
+        if not self._steps:
+            return 0.0
+        # Of two, the smaller one: the other may be a pause.
+        median = statistics.median_low(self._steps)
+        steps = list(self._steps)
+        averages = [
+            sum(steps[begin : begin + _AVERAGED]) / _AVERAGED
+            for begin in range(len(steps) - _AVERAGED + 1)
+        ]
+        average = statistics.median_low(averages) if len(averages) > _AVERAGED else 0.0
+        return average if average > 2.0 * median else median
 
 
 def _same_picture(one: Frame, other: Frame) -> bool:
