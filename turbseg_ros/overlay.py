@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -18,7 +18,6 @@ from turbseg_ros.arrays import Image
 from turbseg_ros.segmentation.frame import MovingObject, SegmentationResult
 from turbseg_ros.segmentation.tone import ToneMap
 
-Labels = npt.NDArray[np.integer[Any]]
 Colour = tuple[int, int, int]
 
 # Blue, green, red. Bright on sky and ground alike, and neighbours in the list far apart.
@@ -143,21 +142,6 @@ def _dashes(contour: npt.NDArray[np.float64], scale: float) -> list[npt.NDArray[
     ends = np.linspace(0.0, at[-1], pieces + 1)
     points = np.stack([np.interp(ends, at, closed[:, axis]) for axis in (0, 1)], axis=-1)
     return [points[k : k + 2] for k in range(0, pieces, 2)]
-
-
-@dataclass(frozen=True)
-class TruthAnnotator:
-    """The outline of what truly moves, in white: `truth` is a label image of the frame's size."""
-
-    truth: Labels
-
-    def annotate(self, canvas: Canvas, result: SegmentationResult) -> None:
-        """Draw on `canvas`, in place."""
-        contours, _ = cv2.findContours(
-            (self.truth != 0).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE
-        )
-        on_canvas = [canvas.fixed_point(contour.reshape(-1, 2)) for contour in contours]
-        cv2.polylines(canvas.image, on_canvas, True, WHITE, 1, cv2.LINE_AA, _SHIFT)
 
 
 @dataclass(frozen=True)

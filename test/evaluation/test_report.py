@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import html
 import html.parser
+import json
 import math
 import re
 import sys
@@ -11,6 +13,7 @@ import xml.etree.ElementTree
 from collections.abc import Iterator
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import assume, given
@@ -22,8 +25,12 @@ from turbseg_ros.cli.evaluate import main
 from turbseg_ros.dependencies import how_to_install
 from turbseg_ros.evaluation import baselines
 from turbseg_ros.evaluation.chart import Chart, Line, round_values
-from turbseg_ros.evaluation.pictures import Illustrator
+from turbseg_ros.evaluation.experiments import ScoredExperiment, ScoredRow, sensitivity
+from turbseg_ros.evaluation.origin import Origin
+from turbseg_ros.evaluation.pictures import FALSE, MISSED, Illustrator, Picture
 from turbseg_ros.evaluation.report import ReportError, ReportWriter
+from turbseg_ros.evaluation.scores import Measurements, Scorer
+from turbseg_ros.messages.detections import Detection
 from turbseg_ros.parameters import Parameters
 from turbseg_ros.segmentation.frame import Frame, SegmentationResult
 
@@ -187,6 +194,53 @@ def test_in_a_browser_the_page_fits_the_screen(
     assert shown.evaluate(smallest) > 10
 
 
+def test_in_a_browser_a_click_enlarges_a_picture_and_another_one_ends_that(
+    shown: browser.Page,
+) -> None:
+    shown.resize(1280, 800)
+    box = "JSON.stringify(document.images[0].getBoundingClientRect())"
+    click = "document.images[0].closest('label').click()"
+    before = json.loads(shown.evaluate(box))
+    shown.evaluate(click)
+    large = json.loads(shown.evaluate(box))
+    assert before["width"] < 400
+    assert (large["width"], large["height"]) == (1248, 768)
+    on_top = "document.elementFromPoint(640, 400) === document.images[0]"
+    assert shown.evaluate(on_top)
+    shown.evaluate(click)
+    assert json.loads(shown.evaluate(box))["width"] == before["width"]
+
+
+def test_in_a_browser_the_legend_has_the_colours_of_the_pictures(shown: browser.Page) -> None:
+    for name, (blue, green, red) in (("missed", MISSED), ("false", FALSE)):
+        swatch = f"getComputedStyle(document.querySelector('.marks .{name}')).backgroundColor"
+        assert shown.evaluate(swatch) == f"rgb({red}, {green}, {blue})"
+
+
+def test_the_page_tells_when_and_where_and_by_which_code_it_was_made(page: Path) -> None:
+    (footer,) = re.findall(r"<footer>(.*?)</footer>", page.read_text(), re.S)
+    told = " ".join(html.unescape(re.sub(r"<[^>]*>", "", footer)).split())
+    origin = Origin.here_and_now()
+    assert f"Made on {origin.date[:10]}" in told
+    assert f"on {origin.processor}, {origin.cores} core" in told
+    for name, version in origin.versions.items():
+        assert f"{name} {version}" in told
+    assert (origin.commit is None) == ("commit" not in told)
+
+
+def test_what_changes_the_result_most_comes_first() -> None:
+    experiment = sensitivity([], Parameters())
+    js = [0.5, 0.49, None, 0.9, 0.2]
+    bags = [dataclasses.replace(Scorer().scores("one", 1, Measurements()), j=j) for j in js]
+    rows = tuple(
+        ScoredRow(f"{j}", None, {}, () if j is None else (bag,))
+        for j, bag in zip(js, bags, strict=True)
+    )
+    ordered = ScoredExperiment(experiment, rows).by_effect()
+    assert [row.name for row in ordered.rows] == ["0.5", "0.9", "0.2", "0.49", "None"]
+    assert ScoredExperiment(experiment, ()).by_effect().rows == ()
+
+
 def test_without_jinja_a_report_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "jinja2", None)
     with pytest.raises(ReportError, match=re.escape(how_to_install("jinja2"))):
@@ -244,6 +298,47 @@ def test_captions_tell_false_alarms_and_unknown_truth() -> None:
 
 def chart(*values: tuple[float, float]) -> Chart:
     return Chart("title", "x", "y", (Line("line", values),))
+
+
+def decoded(picture: Picture) -> np.ndarray:
+    encoded = np.frombuffer(picture.jpeg, np.uint8)
+    return np.asarray(cv2.imdecode(encoded, cv2.IMREAD_COLOR)).astype(int)
+
+
+def test_what_is_missed_is_blue_and_what_is_false_is_red() -> None:
+    illustrator = Illustrator(1, [])
+    found, truth = result(0, 1.0)
+    illustrator.add(found, np.roll(truth, 10, axis=1))
+    image = decoded(illustrator.illustrations().tiles[0])
+    # Three pixels to one of the frame: false at its column 55, right at 65, missed at 75.
+    (blue, _, red), right, missed = (image[135, column] for column in (165, 195, 225))
+    assert red > blue + 50
+    assert missed[0] > missed[2] + 50
+    assert np.ptp(right) < 20
+
+
+def test_true_boxes_are_drawn_and_the_worst_frames_are_those_without_hits() -> None:
+    illustrator = Illustrator(30, [])
+    for number in range(30):
+        true = Detection((50.0, 40.0, 20.0, 10.0), "1"), Detection((100.0, 60.0, 20.0, 10.0), "2")
+        illustrator.add(result(number, 1.0 if number != 11 else 0.0)[0], true)
+    pictures = illustrator.illustrations()
+    assert "frame 11, 0 of 2 boxes hit" in [picture.caption for picture in pictures.worst]
+    assert pictures.tiles[0].caption == "frame 0, 1 of 2 boxes hit"
+    image = decoded(pictures.tiles[0])
+    assert image[119:122, 180].max() > 180  # the upper edge of the first, in white
+    blue, _, red = image[195, 330]  # within the second
+    assert blue > red + 50
+
+
+def test_pictures_have_the_frames_own_size_within_bounds() -> None:
+    def width(columns: int) -> int:
+        illustrator = Illustrator(1, [])
+        frame = Frame(0, np.zeros((columns // 2, columns), np.uint8))
+        illustrator.add(SegmentationResult.empty(frame), None)
+        return illustrator.illustrations().tiles[0].width
+
+    assert [width(columns) for columns in (200, 640, 1920)] == [480, 640, 800]
 
 
 @given(

@@ -164,7 +164,11 @@ def _evaluate(
         ScoredExperiment.of(each, evaluation.results).complete(evaluation.finished)
         for each in _experiments(options, parameters, scored)
     ]
-    compared = [each for each in compared if each.rows]
+    compared = [
+        each.by_effect() if each.experiment.key == "sensitivity" else each
+        for each in compared
+        if each.rows
+    ]
     for each in compared:
         print("", *text_table(each), sep="\n")
     partial = interrupted_after(len(evaluation.finished), ahead, "runs") if status else ""

@@ -25,8 +25,13 @@ class EvaluationError(Exception):
 class ResultObserver(Protocol):
     """Someone who is shown every result beside its truth, such as a draughtsman."""
 
-    def add(self, result: SegmentationResult, truth: Labels | None) -> None:
-        """Take the next result, and the truth of its frame where there is one."""
+    def add(
+        self, result: SegmentationResult, truth: Labels | Boxes | None, ignored: Labels | None
+    ) -> None:
+        """Take the next result, and the truth of its frame where there is one.
+
+        :param ignored: non-zero where truth says nothing, HxW.
+        """
 
 
 def evaluate_segmenter(
@@ -50,10 +55,9 @@ def evaluate_segmenter(
         prediction = StampedLabels(frame.stamp, result.labels, frame.received)
         found = scorer.add(prediction, frame.period, same_recording=True)
         if found is not None:
-            there = None if ignored is None else ignored.at(frame.stamp)
-            sure += judged(result, found, there)
+            sure += judged(result, found, scorer.ignored_at(frame.stamp))
         for observer in observers:
-            observer.add(result, None if isinstance(found, tuple) else found)
+            observer.add(result, found, scorer.ignored_at(frame.stamp))
     return replace(scorer.scores(measured.measurements), score_bins=binned(sure))
 
 
@@ -106,11 +110,15 @@ class _TruthScorer:
         true = self._truth.at(stamp, prediction.recorded, period, same_recording)
         if true is not None:
             self._unmatched = None
-            self._score(prediction.labels, true, self._ignored.at(stamp))
+            self._score(prediction.labels, true, self.ignored_at(stamp))
         elif self._unmatched is not None:
             # By their number: their times are of no use.
             self._unmatched.add(StampedLabels(self._frames, prediction.labels))
         return true
+
+    def ignored_at(self, stamp: int) -> Labels | None:
+        """Return where truth says nothing in the frame with this stamp, HxW; None without."""
+        return self._ignored.at(stamp)
 
     def _score(self, labels: Labels, true: Labels | Boxes, ignored: Labels | None) -> None:
         try:

@@ -240,6 +240,18 @@ class ScoredExperiment:
         ]
         return replace(self, rows=tuple(kept))
 
+    def by_effect(self) -> ScoredExperiment:
+        """Put what changes the mean J most first, behind the row that all are held against."""
+        reference = self.rows[0].mean["j"] if self.rows else None
+
+        def effect(row: ScoredRow) -> float:
+            j = row.mean["j"]
+            return 0.0 if j is None or reference is None else abs(j - reference)
+
+        return replace(
+            self, rows=(*self.rows[:1], *sorted(self.rows[1:], key=effect, reverse=True))
+        )
+
     @property
     def strengths(self) -> list[float]:
         """The strengths of a curve, none of a table."""

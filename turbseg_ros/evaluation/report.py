@@ -9,19 +9,15 @@ import base64
 import dataclasses
 import importlib.resources
 import itertools
-import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
-import numpy as np
-
-from turbseg_ros import __version__
 from turbseg_ros.dependencies import how_to_install
 from turbseg_ros.evaluation.chart import Chart, Line
 from turbseg_ros.evaluation.experiments import ScoredExperiment, ScoredRow
-from turbseg_ros.evaluation.pictures import Illustrations, Picture
+from turbseg_ros.evaluation.origin import Origin
+from turbseg_ros.evaluation.pictures import FALSE, MISSED, Illustrations, Picture
 from turbseg_ros.evaluation.reliability import EDGES, ScoreBin, pooled
 from turbseg_ros.evaluation.run import Run, RunResult
 from turbseg_ros.evaluation.scores import (
@@ -31,6 +27,7 @@ from turbseg_ros.evaluation.scores import (
     mean_scores,
     write_whole,
 )
+from turbseg_ros.overlay import Colour
 from turbseg_ros.parameters import Parameters, Value
 
 PAGE = "index.html"
@@ -124,7 +121,8 @@ class ReportWriter:
             bags=[_bag_view(report, run) for run in report.runs],
             parameters=report.parameters.as_mapping(),
             changed=_changed(report.parameters),
-            versions=_versions(),
+            origin=Origin.here_and_now(),
+            colours={"missed": _css(MISSED), "false": _css(FALSE)},
             data_uri=_data_uri,
         )
 
@@ -278,13 +276,9 @@ def _changed(parameters: Parameters) -> dict[str, Value]:
     }
 
 
-def _versions() -> dict[str, str]:
-    return {
-        "turbseg_ros": __version__,
-        "OpenCV": cv2.__version__,
-        "NumPy": np.__version__,
-        "Python": platform.python_version(),
-    }
+def _css(colour: Colour) -> str:
+    blue, green, red = colour
+    return f"rgb({red} {green} {blue})"
 
 
 def _data_uri(picture: Picture) -> str:
