@@ -307,3 +307,11 @@ def test_the_papers_preset_is_the_papers_method() -> None:
     assert paper.growing.similarity == "magnitude"
     assert paper.outline.method == "none"
     assert paper.tracking.mode == "kmeans"
+    full = load_parameters(CONFIG / "paper_full.yaml")
+    networks = {
+        **{"flow.backend": "dis", "refine.mode": "none"},
+        "refine.grouping": paper.refine.grouping,
+    }
+    assert full.flow.backend == "raft_large"
+    assert full.refine.mode == "optimise"
+    assert full.replace(networks) == paper

@@ -26,7 +26,7 @@ KNOWS: dict[str, set[str]] = {
     "learning": {"segmentation", "simulation"},
     "nodes": {"messages", "segmentation", "bag"},
     "view": {"messages", "segmentation"},
-    "evaluation": {"bag", "messages", "segmentation", "simulation"},
+    "evaluation": {"bag", "datasets", "messages", "segmentation", "simulation"},
     "cli": set(ROOMS),
 }
 

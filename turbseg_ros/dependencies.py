@@ -39,6 +39,9 @@ _PACKAGES = {
     "numpy": _Package("holds images", ["numpy"], "python3-numpy"),
     "scipy": _Package("is needed for the method", ["scipy"], "python3-scipy"),
     "cv2": _Package("is OpenCV", ["opencv-python-headless"], "python3-opencv"),
+    "cv2.bgsegm": _Package(
+        "has OpenCV's contrib modules", ["opencv-contrib-python-headless"], "python3-opencv"
+    ),
     "yaml": _Package("reads parameter files", ["PyYAML"], "python3-yaml"),
     "tqdm": _Package("shows progress", ["tqdm"], "python3-tqdm"),
     "mcap": _MCAP,

@@ -96,24 +96,20 @@ def strategies(parameters: Parameters) -> Strategies:
     )
 
 
-def loaded_class(parameter: str, name: str) -> Callable[..., Any]:
+def loaded_class(role: str, name: str) -> Callable[..., Any]:
     """Import what `package.module:Class` names.
 
-    :param parameter: the name of the parameter that holds it, for messages.
+    :param role: what it is to be, for messages.
     :raises ParameterError: when there is no such module or class.
     """
     module_name, _, class_name = name.partition(":")
     try:
         module = importlib.import_module(module_name)
     except ImportError as error:
-        raise ParameterError(
-            f"parameter {parameter} is {name}: {error}; is its folder in PYTHONPATH?"
-        ) from error
+        raise ParameterError(f"{role} is {name}: {error}; is its folder in PYTHONPATH?") from error
     found = getattr(module, class_name, None)
     if not callable(found):
-        raise ParameterError(
-            f"parameter {parameter} is {name}: {module_name} has no class {class_name}"
-        )
+        raise ParameterError(f"{role} is {name}: {module_name} has no class {class_name}")
     return found  # type: ignore[no-any-return]
 
 
@@ -122,7 +118,7 @@ def _chosen(parameter: str, parameters: Parameters, choices: Choices) -> Any:
     name = str(parameters.as_mapping()[parameter])
     if ":" not in name:
         return choices[name](parameters)
-    made = loaded_class(parameter, name)
+    made = loaded_class(f"parameter {parameter}", name)
     try:
         return made(parameters)
     except TypeError as error:

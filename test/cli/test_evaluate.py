@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -87,6 +88,26 @@ def test_rivals_are_scored_beside_the_method(
         assert row["mean"]["id_switches"] is None
     printed = capsys.readouterr().out
     assert all(f"\n{name} " in printed for name in names)
+
+
+def test_masks_of_others_are_scored_beside_ours_and_have_no_time(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "theirs" / "bag"
+    folder.mkdir(parents=True)
+    for number in range(FRAMES):
+        mask = np.zeros((120, 208), np.uint8)
+        mask[50:75, 20 + 3 * number : 60 + 3 * number] = 255
+        cv2.imwrite(str(folder / f"{number:05}.png"), mask)
+    options = ["--baselines", f"theirs={folder.parent}", "--tilt-curve", "1"]
+    content = evaluated(tmp_path / "out.json", bag, *options)
+    theirs = content["baselines"][1]
+    assert theirs["segmenter"] == "theirs"
+    assert (theirs["mean"]["j"], theirs["mean"]["fps"]) == (1.0, None)
+    assert [row["segmenter"] for row in content["tilt_curve"]] == ["turbseg"]
+    assert "\ntheirs " in capsys.readouterr().out
+    assert main([str(bag), *options, "--duration", "1"]) == 2
+    assert "leave out --start, --duration" in capsys.readouterr().err
 
 
 def test_the_method_runs_once_for_all_that_needs_it(
@@ -340,6 +361,8 @@ def test_without_any_scores_nothing_is_written(
     ("arguments", "complaint"),
     [
         (["--baselines", "mogg2"], "no baseline 'mogg2'; did you mean mog2?"),
+        (["--baselines", "theirs=nowhere"], "no such folder: nowhere"),
+        (["--baselines", "nowhere:Class"], "baseline is nowhere:Class"),
         (["--tilt-curve", "0,-1"], "0,-1: give 0 to 20 pixels"),
         (["--tilt-curve", "nan"], "nan: give 0 to 20 pixels"),
         (["--shake-curve", "a,b"], "--shake-curve"),

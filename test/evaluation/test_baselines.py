@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import types
 from pathlib import Path
 
 import cv2
@@ -10,15 +11,18 @@ import numpy as np
 import pytest
 
 from support.paths import CONFIG
+from turbseg_ros.evaluation import CONTRIB_BASELINES
 from turbseg_ros.evaluation.baselines import (
     BackgroundSubtraction,
     TurbsegMethod,
     UnknownBaselineError,
+    background_subtractions,
     baselines,
     config_path,
 )
+from turbseg_ros.evaluation.labels import result_from_labels
 from turbseg_ros.evaluation.metrics import jaccard
-from turbseg_ros.parameters import Parameters
+from turbseg_ros.parameters import ParameterError, Parameters
 from turbseg_ros.segmentation.frame import Frame, SegmentationResult, Segmenter, segment
 
 FRAMES = 40
@@ -153,11 +157,87 @@ def test_the_paper_is_the_method_with_the_papers_parameters() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "hint"), [("mogg2", "did you mean mog2"), ("sam", "there are mog2, knn, paper")]
+    ("name", "hint"),
+    [("mogg2", "did you mean mog2"), ("sam", "there are mog2, knn, gsoc, lsbp, cnt, paper")],
 )
 def test_an_unknown_rival_is_refused(name: str, hint: str) -> None:
     with pytest.raises(UnknownBaselineError, match=f"no baseline '{name}'; {hint}"):
         baselines(["knn", name])
+
+
+def test_what_only_contrib_has_is_one_line_without_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delattr(cv2, "bgsegm", raising=False)
+    with pytest.raises(UnknownBaselineError, match=r"baseline gsoc needs .*opencv"):
+        baselines(["gsoc"])
+
+
+@pytest.mark.skipif(not hasattr(cv2, "bgsegm"), reason="OpenCV has no contrib modules")
+@pytest.mark.parametrize("name", CONTRIB_BASELINES)
+def test_those_of_contrib_find_what_crosses_a_still_picture(name: str) -> None:
+    raw, stabilised = background_subtractions(name)
+    assert [each.name for each in (raw, stabilised)] == [name, f"{name} stabilised"]
+    assert mean_j(raw.segmenter(), shake=0) > 0.3
+    assert mean_j(stabilised.segmenter(), shake=6) > 0.3
+
+
+def test_those_of_contrib_are_made_and_applied_as_the_others_are(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for name in CONTRIB_BASELINES:
+        made = f"createBackgroundSubtractor{name.upper()}"
+        stand_in = types.SimpleNamespace(
+            **{made: lambda: cv2.createBackgroundSubtractorKNN(detectShadows=False)}
+        )
+        monkeypatch.setattr(cv2, "bgsegm", stand_in, raising=False)
+        assert mean_j(background_subtractions(name)[1].segmenter(), shake=0) > 0.8
+
+
+class Bright:
+    """Finds what is white; made with the parameters, as strategies are."""
+
+    def __init__(self, parameters: Parameters) -> None:
+        self.parameters = parameters
+
+    def push(self, frame: Frame) -> list[SegmentationResult]:
+        return [result_from_labels(frame, (frame.image == 255).astype(np.uint16))]
+
+    def flush(self) -> list[SegmentationResult]:
+        return []
+
+
+def test_a_segmenter_of_ones_own_is_named_by_its_class() -> None:
+    parameters = Parameters.from_mapping({"max_objects": 3})
+    (own,) = baselines([f"{__name__}:Bright"], parameters)
+    assert (own.name, own.keeps_ids, own.recorded) == ("Bright", True, False)
+    segmenter = own.segmenter()
+    assert isinstance(segmenter, Bright) and segmenter.parameters == parameters
+    assert mean_j(segmenter, shake=0) > 0.95
+
+
+def test_a_file_of_parameters_is_the_method_under_them(tmp_path: Path) -> None:
+    file = tmp_path / "mine.yaml"
+    file.write_text("/**:\n  ros__parameters:\n    max_objects: 5\n")
+    (mine,) = baselines([f"mine={file}"])
+    assert isinstance(mine, TurbsegMethod)
+    assert (mine.name, mine.parameters.max_objects) == ("mine", 5)
+
+
+@pytest.mark.parametrize(
+    ("name", "complaint"),
+    [
+        ("no_such_module:Class", "baseline is no_such_module:Class: .*PYTHONPATH"),
+        (f"{__name__}:Dark", "has no class Dark"),
+    ],
+)
+def test_a_segmenter_that_cannot_be_had_is_refused(name: str, complaint: str) -> None:
+    with pytest.raises(ParameterError, match=complaint):
+        baselines([name])
+
+
+def test_a_segmenter_that_takes_no_parameters_is_told_so() -> None:
+    (own,) = baselines(["builtins:object"])
+    with pytest.raises(ParameterError, match="builtins:object can't be made with the parameters"):
+        own.segmenter()
 
 
 def test_a_method_is_what_its_parameters_make_it() -> None:

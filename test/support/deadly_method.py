@@ -14,6 +14,7 @@ class Deadly:
 
     name: str = "deadly"
     keeps_ids: bool = True
+    recorded: bool = False
 
-    def segmenter(self) -> Segmenter:
+    def segmenter(self, clip: str = "", frames: int = 0) -> Segmenter:
         os._exit(1)

@@ -24,9 +24,10 @@ from turbseg_ros.cli.options import (
 from turbseg_ros.cli.outputs import check_file
 from turbseg_ros.cli.parsers.benchmark import build_parser
 from turbseg_ros.evaluation.baselines import (
-    BackgroundSubtraction,
     Method,
     TurbsegMethod,
+    UnknownBaselineError,
+    background_subtractions,
     config_path,
 )
 from turbseg_ros.evaluation.benchmark import (
@@ -116,7 +117,10 @@ def _methods(baselines: Sequence[str], parameters: Parameters) -> list[Method]:
             paper = load_parameters(config_path("paper.yaml"))
             methods.append(TurbsegMethod(name, paper.replace({"tracking.mode": "kalman"})))
         else:
-            methods.append(BackgroundSubtraction(name, stabilised=False))
+            try:
+                methods += background_subtractions(name)[:1]
+            except UnknownBaselineError as error:
+                raise UsageError(str(error)) from error
     return methods
 
 

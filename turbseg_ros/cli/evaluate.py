@@ -14,6 +14,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from tqdm import tqdm
 
 from turbseg_ros.bag.reader import BagReader
+from turbseg_ros.bag.section import WHOLE
 from turbseg_ros.cli.errors import Interrupted, UsageError, executable, interrupted_after
 from turbseg_ros.cli.memory import keep_large_buffers
 from turbseg_ros.cli.options import (
@@ -246,10 +247,13 @@ def _experiments(
     if not runs:
         return []
     experiments = []
-    chosen = baselines(options.baselines)
+    chosen = baselines(options.baselines, parameters)
+    if any(method.recorded for method in chosen) and section_from(options) != WHOLE:
+        raise UsageError("masks of --baselines are of whole clips; leave out --start, --duration")
     if chosen:
         experiments.append(against_baselines(runs, chosen))
-    methods = [runs[0].method, *chosen]
+    # What others found stays as it is, whatever happens to the frames.
+    methods = [runs[0].method, *(method for method in chosen if not method.recorded)]
     if options.tilt_curve:
         experiments.append(tilt_curve(runs, methods, options.tilt_curve, options.seed))
     if options.shake_curve:

@@ -1,7 +1,9 @@
 """What the method is compared with, on the same frames.
 
-OpenCV's background subtraction (MOG2: Zivkovic 2004; KNN: Zivkovic and van der Heijden 2006), each
-raw and after the camera's motion was taken out, and the paper's own choice of parameters.
+OpenCV's background subtraction, each raw and after the camera's motion was taken out: MOG2
+(Zivkovic 2004), KNN (Zivkovic and van der Heijden 2006), and of its contrib modules GSOC (Samsonov
+2017), LSBP (Guo, Xu and Qiang 2016) and CNT (Zeevi 2016). The method under other parameters, the
+paper's among them; segmenters of one's own, and masks that others found.
 """
 
 from __future__ import annotations
@@ -18,10 +20,12 @@ import cv2
 import numpy as np
 
 from turbseg_ros.arrays import ByteImage, Mask, Matrix
-from turbseg_ros.evaluation import BASELINES
-from turbseg_ros.factory import clip_segmenter
+from turbseg_ros.dependencies import how_to_install
+from turbseg_ros.evaluation import BASELINES, CONTRIB_BASELINES
+from turbseg_ros.evaluation.recorded_masks import RecordedMasks
+from turbseg_ros.factory import clip_segmenter, loaded_class
 from turbseg_ros.parameter_file import load_parameters
-from turbseg_ros.parameters import Parameters
+from turbseg_ros.parameters import ParameterError, Parameters
 from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResult, Segmenter
 from turbseg_ros.segmentation.registration import align, register, visible
 from turbseg_ros.segmentation.tone import ToneMap
@@ -42,17 +46,22 @@ _BORDER = 2.0
 _SUBTRACTORS: dict[str, Callable[[], cv2.BackgroundSubtractor]] = {
     "mog2": lambda: cv2.createBackgroundSubtractorMOG2(detectShadows=False),
     "knn": lambda: cv2.createBackgroundSubtractorKNN(detectShadows=False),
+    "gsoc": lambda: cv2.bgsegm.createBackgroundSubtractorGSOC(),  # type: ignore[attr-defined]
+    "lsbp": lambda: cv2.bgsegm.createBackgroundSubtractorLSBP(),  # type: ignore[attr-defined]
+    "cnt": lambda: cv2.bgsegm.createBackgroundSubtractorCNT(),  # type: ignore[attr-defined]
 }
 
 
 class UnknownBaselineError(ValueError):
-    """A baseline was asked for that does not exist; the text names those that do."""
+    """A baseline was asked for that can't be had; the text says why and what can."""
 
 
 class Method(Protocol):
     """Something to be evaluated, which makes a new segmenter for every bag.
 
-    It can be sent to another process. `keeps_ids` tells whether its objects keep their ids.
+    It can be sent to another process. `keeps_ids` tells whether its objects keep their ids,
+    `recorded` whether it only gives back what was found before: then its time says nothing, and
+    frames that are changed beforehand change nothing.
     """
 
     @property
@@ -63,8 +72,15 @@ class Method(Protocol):
     def keeps_ids(self) -> bool:
         """Whether it follows objects from frame to frame."""
 
-    def segmenter(self) -> Segmenter:
-        """Make a segmenter that has seen nothing yet."""
+    @property
+    def recorded(self) -> bool:
+        """Whether it gives back what was found before."""
+
+    def segmenter(self, clip: str = "", frames: int = 0) -> Segmenter:
+        """Make a segmenter that has seen nothing yet.
+
+        :param clip: the name of the clip that it will see, which has so many `frames`.
+        """
 
 
 @dataclass(frozen=True)
@@ -74,48 +90,113 @@ class TurbsegMethod:
     name: str = field(compare=False)
     parameters: Parameters
     keeps_ids: ClassVar[bool] = True
+    recorded: ClassVar[bool] = False
 
-    def segmenter(self) -> Segmenter:
+    def segmenter(self, clip: str = "", frames: int = 0) -> Segmenter:
         """Make a segmenter that has seen nothing yet."""
         return clip_segmenter(self.parameters)
 
 
 @dataclass(frozen=True)
 class BackgroundSubtraction:
-    """One of OpenCV's background subtractors, `mog2` or `knn`, raw or on stabilised frames."""
+    """One of OpenCV's background subtractors, as `mog2`, raw or on stabilised frames."""
 
     algorithm: str
     stabilised: bool
     keeps_ids: ClassVar[bool] = False
+    recorded: ClassVar[bool] = False
 
     @property
     def name(self) -> str:
         """What tables call it."""
         return f"{self.algorithm} stabilised" if self.stabilised else self.algorithm
 
-    def segmenter(self) -> Segmenter:
+    def segmenter(self, clip: str = "", frames: int = 0) -> Segmenter:
         """Make a segmenter that has seen nothing yet."""
         detector = StabilisedDetector if self.stabilised else ForegroundDetector
         return ComponentSegmenter(detector(self.algorithm))
 
 
-def baselines(names: Sequence[str]) -> tuple[Method, ...]:
+@dataclass(frozen=True)
+class OwnSegmenter:
+    """A user's class, `package.module:Class`, which is called with the parameters.
+
+    Its objects keep their ids, unless it has an attribute `keeps_ids` that says otherwise.
+    """
+
+    path: str
+    parameters: Parameters
+    recorded: ClassVar[bool] = False
+
+    @property
+    def name(self) -> str:
+        """What tables call it."""
+        return self.path.rpartition(":")[2]
+
+    @property
+    def keeps_ids(self) -> bool:
+        """Whether it follows objects from frame to frame."""
+        return bool(getattr(loaded_class("baseline", self.path), "keeps_ids", True))
+
+    def segmenter(self, clip: str = "", frames: int = 0) -> Segmenter:
+        """Make a segmenter that has seen nothing yet.
+
+        :raises ParameterError: when the class can't be had, or made with the parameters.
+        """
+        try:
+            made: Segmenter = loaded_class("baseline", self.path)(self.parameters)
+        except TypeError as error:
+            raise ParameterError(
+                f"baseline {self.path} can't be made with the parameters: {error}"
+            ) from error
+        return made
+
+
+def baselines(names: Sequence[str], parameters: Parameters | None = None) -> tuple[Method, ...]:
     """Return the baselines of these names, those from OpenCV raw and stabilised.
 
-    :raises UnknownBaselineError: for a name that is not in `BASELINES`.
-    :raises ParameterError: when the paper's parameter file can't be read.
+    Beside the names in `BASELINES` there are `package.module:Class`, made with `parameters`;
+    `NAME=FOLDER`, masks that something called so has found; and `NAME=FILE`, the method under the
+    parameters in a file.
+
+    :raises UnknownBaselineError: for a name that is none of these, or can't be had.
+    :raises ParameterError: when a parameter file or a class can't be had.
+    :raises ClipError: when masks can't be had.
     """
     methods: list[Method] = []
     for name in names:
-        if name not in BASELINES:
-            near = difflib.get_close_matches(name, BASELINES, n=1)
-            hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(BASELINES)}"
-            raise UnknownBaselineError(f"no baseline {name!r}; {hint}")
-        if name == "paper":
+        own_name, is_named, path = name.partition("=")
+        if is_named and Path(path).is_file():
+            methods.append(TurbsegMethod(own_name, load_parameters(Path(path))))
+        elif is_named:
+            methods.append(RecordedMasks.of(own_name, Path(path)))
+        elif ":" in name:
+            loaded_class("baseline", name)
+            methods.append(OwnSegmenter(name, parameters or Parameters()))
+        elif name == "paper":
             methods.append(TurbsegMethod(name, load_parameters(config_path("paper.yaml"))))
         else:
-            methods += [BackgroundSubtraction(name, stabilised) for stabilised in (False, True)]
+            methods += background_subtractions(name)
     return tuple(methods)
+
+
+def background_subtractions(name: str) -> list[BackgroundSubtraction]:
+    """Return one of OpenCV's background subtractors, raw and stabilised.
+
+    :raises UnknownBaselineError: when there is none of that name, or not in the OpenCV at hand.
+    """
+    if name not in _SUBTRACTORS:
+        near = difflib.get_close_matches(name, BASELINES, n=1)
+        hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(BASELINES)}"
+        raise UnknownBaselineError(
+            f"no baseline {name!r}; {hint}; or package.module:Class, or NAME=FOLDER of masks"
+        )
+    if name in CONTRIB_BASELINES and not hasattr(cv2, "bgsegm"):
+        raise UnknownBaselineError(
+            f"baseline {name} needs OpenCV's contrib modules, which the one installed lacks; one "
+            f"that has them, in its place: {how_to_install('cv2.bgsegm')}"
+        )
+    return [BackgroundSubtraction(name, stabilised) for stabilised in (False, True)]
 
 
 def config_path(name: str) -> Path:

@@ -35,6 +35,11 @@ class Source:
     truth_topic: str
     section: Section = WHOLE
 
+    @property
+    def clip(self) -> str:
+        """The name of what it recorded: that of the bag's folder, or its file's without suffix."""
+        return self.path.stem if self.path.is_file() else self.path.name
+
 
 @dataclass(frozen=True)
 class RunResult:
@@ -86,13 +91,15 @@ class Run:
             scores = evaluate_segmenter(
                 self.source.name,
                 frames,
-                self.method.segmenter(),
+                self.method.segmenter(self.source.clip, len(images)),
                 truth,
                 [] if illustrator is None else [illustrator],
                 ignored,
             )
         except DisturbanceError as error:
             raise EvaluationError(f"{self.source.name}: {error}") from error
+        if self.method.recorded:
+            scores = scores.without_times()
         return RunResult(
             # What numbers its objects anew in each frame can't confuse them.
             scores=scores if self.method.keeps_ids else scores.without_ids(),

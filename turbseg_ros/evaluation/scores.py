@@ -111,6 +111,10 @@ class BagScores:
     tilt_px: float | None
     score_bins: tuple[ScoreBin, ...] = ()
 
+    def without_times(self) -> BagScores:
+        """Return the scores of something that did its work before."""
+        return dataclasses.replace(self, fps=None, ms_p50=None, ms_p95=None)
+
     def without_ids(self) -> BagScores:
         """Return the scores of something that doesn't claim to follow objects."""
         return dataclasses.replace(

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from turbseg_ros.cli.options import add_parameter_options, command_parser, positive_count
-from turbseg_ros.evaluation import BASELINES
+from turbseg_ros.evaluation import BASELINES, CONTRIB_BASELINES
 
 _SIZES = ((640, 480), (1280, 720), (1920, 1080))
 
@@ -67,9 +67,9 @@ def build_parser() -> argparse.ArgumentParser:
         "--baselines",
         "--rivals",
         type=_baselines,
-        default=list(BASELINES),
+        default=[name for name in BASELINES if name not in CONTRIB_BASELINES],
         metavar="NAMES",
-        help=f"some of {','.join(BASELINES)} (all)",
+        help=f"some of {','.join(BASELINES)} (all but {', '.join(CONTRIB_BASELINES)})",
     )
     parser.add_argument("--json", type=Path, metavar="F", help="also write the figures as JSON")
     add_parameter_options(parser)

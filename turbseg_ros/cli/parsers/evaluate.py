@@ -97,7 +97,9 @@ def _add_comparisons(parser: argparse.ArgumentParser) -> None:
         type=_names,
         default=[],
         metavar="NAMES",
-        help=f"other methods on the same frames, and in the curves: some of {','.join(BASELINES)}",
+        help="other methods on the same frames, and in the curves: some of "
+        f"{','.join(BASELINES)}; package.module:Class, a segmenter of yours; NAME=FOLDER, masks "
+        "that others found, a folder a bag; NAME=FILE, other parameters",
     )
     group.add_argument(
         "--tilt-curve",
