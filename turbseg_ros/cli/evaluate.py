@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
-import functools
-import os
 import shlex
 import sys
 import time
@@ -18,6 +15,7 @@ from turbseg_ros.bag.section import WHOLE
 from turbseg_ros.cli.errors import Interrupted, UsageError, executable, interrupted_after
 from turbseg_ros.cli.memory import keep_large_buffers
 from turbseg_ros.cli.options import (
+    job_progress,
     parameters_from,
     parsed_override,
     section_from,
@@ -32,15 +30,6 @@ from turbseg_ros.evaluation.baselines import (
 )
 from turbseg_ros.evaluation.comparison import ComparisonError, compare, comparison_table
 from turbseg_ros.evaluation.evaluate import EvaluationError, evaluate_labels
-from turbseg_ros.evaluation.execution import (
-    ClusterError,
-    Failure,
-    Runner,
-    remote_cluster,
-    run_beside,
-    run_here,
-    run_on,
-)
 from turbseg_ros.evaluation.experiments import (
     Experiment,
     ScoredExperiment,
@@ -64,8 +53,8 @@ from turbseg_ros.evaluation.scores import (
 )
 from turbseg_ros.evaluation.table_files import tables_of, write_tables
 from turbseg_ros.evaluation.truth import read_ignored, read_truth
+from turbseg_ros.execution import ClusterError, Failure, Runner, job_runner, usable_workers
 from turbseg_ros.parameters import Parameters
-from turbseg_ros.worker_pool import WorkerPool
 
 _METHOD = "turbseg"
 _EXPERIMENTS = (
@@ -151,12 +140,12 @@ def _evaluate(
     runs = _trials(options, parameters)
     planned = [run for each in _experiments(options, parameters, runs) for run in each.runs]
     ahead = len({*runs, *planned})
-    workers = min(options.workers or _usable_workers(), ahead)
+    workers = min(options.workers or usable_workers(), ahead)
     evaluation = _Evaluation(ahead, workers)
     status = 0
     try:
-        with _runner(options, workers) as runner:
-            _run_all(evaluation, runner, options, parameters, runs)
+        with job_runner(workers, options.scheduler, job_progress) as doing:
+            _run_all(evaluation, doing, options, parameters, runs)
     except Interrupted as interrupted:
         # Signals are ignored from here on: what is done is written.
         status = int(interrupted.code or 0)
@@ -185,7 +174,7 @@ def _evaluate(
 
 def _run_all(
     evaluation: _Evaluation,
-    runner: Runner,
+    runner: Runner[RunResult],
     options: argparse.Namespace,
     parameters: Parameters,
     runs: Sequence[Run],
@@ -287,7 +276,7 @@ class _Evaluation:
         """Whether a run came to nothing."""
         return bool(self._reasons)
 
-    def run(self, runner: Runner, runs: Iterable[Run]) -> Iterator[RunResult]:
+    def run(self, runner: Runner[RunResult], runs: Iterable[Run]) -> Iterator[RunResult]:
         """Do the runs that are not done yet; return the results of those that succeed."""
         new = [run for run in dict.fromkeys(runs) if run not in self.results]
         if self._began is None:
@@ -331,7 +320,7 @@ def _rough(seconds: float) -> str:
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
-def _print_scores(evaluation: _Evaluation, runner: Runner, runs: Sequence[Run]) -> None:
+def _print_scores(evaluation: _Evaluation, runner: Runner[RunResult], runs: Sequence[Run]) -> None:
     """Run the method on each bag and print a line of scores as soon as they are there."""
     table = Table.of([run.source.name for run in runs])
     print(table.head, flush=True)
@@ -353,26 +342,3 @@ def _object_table(scored: Sequence[BagScores]) -> list[str]:
     table = Table.of([scores.bag for scores in scored], columns=OBJECT_COLUMNS)
     mean = [table.mean(scored)] if len(scored) > 1 else []
     return [table.head, *map(table.row, scored), *mean]
-
-
-@contextlib.contextmanager
-def _runner(options: argparse.Namespace, workers: int) -> Iterator[Runner]:
-    """Return what does runs, as the options say: here, by so many workers, or on a cluster.
-
-    :raises ClusterError: when the cluster that was asked for can't be had.
-    """
-    if options.scheduler is not None:
-        with remote_cluster(options.scheduler) as client:
-            yield functools.partial(run_on, client)
-    elif workers > 1:
-        with WorkerPool(workers) as pool:
-            yield functools.partial(run_beside, pool)
-    else:
-        yield functools.partial(
-            run_here, progress=lambda run: functools.partial(with_progress, title=run.title)
-        )
-
-
-def _usable_workers() -> int:
-    """Return how many processes there is use for: as many as cores that this one may use."""
-    return len(os.sched_getaffinity(0))

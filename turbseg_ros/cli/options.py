@@ -11,11 +11,16 @@ import sys
 import textwrap
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from turbseg_ros import __version__
 from turbseg_ros.bag.section import Section
 from turbseg_ros.parameters import Declaration, ParameterError, Parameters, declarations
+
+if TYPE_CHECKING:
+    from turbseg_ros.bag.frames import BagFrames
+    from turbseg_ros.execution import Job, Progress
+    from turbseg_ros.segmentation.frame import Frame
 
 T = TypeVar("T")
 
@@ -68,6 +73,20 @@ def add_section_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_cluster_options(parser: argparse.ArgumentParser, note: str) -> None:
+    """Add `--workers` and `--scheduler`, which choose who does the work on several bags."""
+    group = parser.add_argument_group("processes", note)
+    group.add_argument(
+        "--workers",
+        type=positive_count,
+        metavar="N",
+        help="processes on this machine (as many as it has cores)",
+    )
+    group.add_argument(
+        "--scheduler", metavar="ADDRESS", help="Dask scheduler to use, as tcp://host:8786"
+    )
+
+
 def section_from(options: argparse.Namespace) -> Section:
     """Return the part of a recording that the options of `add_section_options` ask for."""
     return Section(options.start, options.duration)
@@ -115,6 +134,15 @@ def with_progress(
             leave=False,
             disable=None,
         )
+
+
+def job_progress(job: Job[Any]) -> Progress:
+    """Return what shows a progress bar for a job while the frames of its bag are taken."""
+
+    def shown(frames: BagFrames) -> Iterator[Frame]:
+        return with_progress(frames, job.title, len(frames))
+
+    return shown
 
 
 def parsed_override(override: str) -> tuple[str, object]:

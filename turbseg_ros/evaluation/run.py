@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import ClassVar
 
+from turbseg_ros.bag.errors import BagError
 from turbseg_ros.bag.frames import BagFrames
 from turbseg_ros.bag.reader import BagReader
 from turbseg_ros.bag.section import WHOLE, Section
@@ -15,11 +17,10 @@ from turbseg_ros.evaluation.evaluate import EvaluationError, evaluate_segmenter
 from turbseg_ros.evaluation.pictures import Illustrations, Illustrator
 from turbseg_ros.evaluation.scores import BagScores
 from turbseg_ros.evaluation.truth import BoxesByStamp, read_ignored, read_truth
+from turbseg_ros.execution import Progress
 from turbseg_ros.overlay import DEFAULT_ANNOTATORS, OutlineAnnotator
+from turbseg_ros.parameters import ParameterError
 from turbseg_ros.segmentation.frame import Frame
-
-Progress = Callable[[BagFrames], Iterable[Frame]]
-"""Hands the frames of a bag on while it follows, say with a progress bar, how many were taken."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +61,17 @@ class Run:
     method: Method
     disturbance: Disturbance | None = None
     illustrated: bool = field(default=False, compare=False)
+    foreseen: ClassVar[tuple[type[Exception], ...]] = (BagError, EvaluationError, ParameterError)
+
+    @property
+    def name(self) -> str:
+        """The bag's name."""
+        return self.source.name
+
+    @property
+    def full_name(self) -> str:
+        """What tells it from other runs."""
+        return f"{self.source.name}: {self.method.name}"
 
     @property
     def title(self) -> str:

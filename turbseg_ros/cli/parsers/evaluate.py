@@ -7,10 +7,10 @@ from pathlib import Path
 
 from turbseg_ros.bag.topics import LABELS_TOPIC, TRUTH_TOPIC
 from turbseg_ros.cli.options import (
+    add_cluster_options,
     add_parameter_options,
     add_section_options,
     command_parser,
-    positive_count,
 )
 from turbseg_ros.evaluation import BASELINES
 
@@ -70,7 +70,9 @@ def build_parser() -> argparse.ArgumentParser:
         "--curves", type=Path, metavar="DIR", help="also draw the curves, as DIR/*_curve.svg"
     )
     _add_comparisons(parser)
-    _add_cluster(parser)
+    add_cluster_options(
+        parser, "What runs side by side shares the processor, and its fps and ms show that."
+    )
     parser.add_argument(
         "--compare",
         nargs=2,
@@ -134,19 +136,4 @@ def _add_comparisons(parser: argparse.ArgumentParser) -> None:
         default=0,
         metavar="N",
         help="of added turbulence and shake (%(default)s)",
-    )
-
-
-def _add_cluster(parser: argparse.ArgumentParser) -> None:
-    group = parser.add_argument_group(
-        "processes", "What runs side by side shares the processor, and its fps and ms show that."
-    )
-    group.add_argument(
-        "--workers",
-        type=positive_count,
-        metavar="N",
-        help="processes on this machine (as many as it has cores)",
-    )
-    group.add_argument(
-        "--scheduler", metavar="ADDRESS", help="Dask scheduler to use, as tcp://host:8786"
     )

@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from turbseg_ros.cli.options import (
+    add_cluster_options,
     add_parameter_options,
     add_section_options,
     command_parser,
@@ -19,11 +20,20 @@ def build_parser() -> argparse.ArgumentParser:
     """Return the parser of its arguments."""
     parser = command_parser(
         prog="turbseg_replay",
-        description="Segment every frame of a bag and write the node's topics into another bag.",
+        description="Segment every frame of a bag and write the node's topics into another bag. "
+        "With several bags, {bag} in the name of a picture, film or table stands for each one's "
+        "name.",
     )
-    parser.add_argument("bag", type=Path, metavar="BAG", help="rosbag2 directory, or one file")
     parser.add_argument(
-        "-o", "--out", type=Path, required=True, metavar="OUT", help="bag to be written"
+        "bags", nargs="+", type=Path, metavar="BAG", help="rosbag2 directory, or one file"
+    )
+    parser.add_argument(
+        "-o",
+        "--out",
+        type=Path,
+        required=True,
+        metavar="OUT",
+        help="bag to be written; for several BAGs a folder, with one called like each in it",
     )
     parser.add_argument(
         "--image-topic", metavar="T", help="images to segment, where the bag has several topics"
@@ -64,6 +74,7 @@ def build_parser() -> argparse.ArgumentParser:
         help=f"also write the node's topics for people, of {', '.join(VIEWS)}: names, commas "
         "between",
     )
+    add_cluster_options(parser, "Several bags are replayed side by side.")
     add_parameter_options(parser)
     return parser
 

@@ -22,14 +22,8 @@ from turbseg_ros.bag.topics import TRUTH_TOPIC
 from turbseg_ros.cli.evaluate import main
 from turbseg_ros.dependencies import how_to_install
 from turbseg_ros.evaluation.baselines import BackgroundSubtraction
-from turbseg_ros.evaluation.execution import (
-    ClusterError,
-    Failure,
-    remote_cluster,
-    run_beside,
-    run_on,
-)
 from turbseg_ros.evaluation.run import Run, RunResult, Source
+from turbseg_ros.execution import ClusterError, Failure, remote_cluster, run_beside, run_on
 from turbseg_ros.worker_pool import WorkerPool
 
 # A worker imports ROS 2 and OpenCV, which takes its time on a busy machine.
@@ -141,7 +135,7 @@ def test_a_scheduler_that_is_not_there_is_one_line(
     bags: list[Path], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("distributed", reason="Dask is not installed")
-    monkeypatch.setattr("turbseg_ros.evaluation.execution._CONNECT_SECONDS", 0.5)
+    monkeypatch.setattr("turbseg_ros.execution._CONNECT_SECONDS", 0.5)
     assert main([str(bags[0]), "--scheduler", "tcp://127.0.0.1:9"]) == 2
     error = capsys.readouterr().err
     assert "turbseg_evaluate: no Dask scheduler answers at tcp://127.0.0.1:9" in error
