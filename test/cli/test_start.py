@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import subprocess
 import sys
@@ -67,6 +68,16 @@ def test_every_executable_starts_by_its_name(name):
     assert process.returncode == 0, process.stderr
     assert process.stdout.startswith("usage: ")
     assert name in process.stdout.splitlines()[0]
+
+
+@pytest.mark.parametrize("name", ["replay", "evaluate", "simulate", "benchmark", "train"])
+def test_help_tells_of_all_options_before_it_lists_the_parameters(name: str) -> None:
+    told = run("-m", "turbseg_ros.cli", name, "--help").stdout
+    options, _, parameters = told.partition("\nparameter names:\n")
+    assert "flow.interval" not in options
+    if parameters:
+        assert not re.search(r"^  -", parameters, re.M)
+    assert re.search(r"^  -", options, re.M)
 
 
 @pytest.mark.parametrize("arguments", [[], ["nonsense"]])

@@ -11,11 +11,15 @@ import numpy as np
 import pytest
 
 from turbseg_ros.evaluation.scores import (
+    COLUMNS,
+    OBJECT_COLUMNS,
     BagScores,
+    Column,
     Measurements,
     Scorer,
     Table,
     mean_scores,
+    short_names,
     write_json,
 )
 
@@ -209,3 +213,41 @@ def test_table_lines_are_aligned() -> None:
     assert lines[1].split()[:4] == ["a_long_name", "1", "1", "1.000"]
     assert lines[2].split()[3] == "-"
     assert lines[3].startswith("mean")
+
+
+@pytest.mark.parametrize("width", [40, 80, 100, 160, 400])
+@pytest.mark.parametrize("columns", [COLUMNS, OBJECT_COLUMNS])
+def test_a_table_is_shared_out_to_what_the_terminal_has_room_for(
+    width: int, columns: tuple[Column, ...]
+) -> None:
+    bags = [scored((OBJECT, OBJECT), bag=name) for name in ("in/one", "in/" + "long_" * 20)]
+    full = dataclasses.replace(bags[1], fps=31.25, ms_p50=99.9, ms_p95=1234.5, tilt_px=0.25)
+    whole = Table.of_bags([bag.bag for bag in bags], columns)
+    parts = whole.fitted(width)
+    assert [column for part in parts for column in part.columns] == list(columns)
+    for part in parts:
+        lines = [part.head, part.row(bags[0]), part.row(full), part.mean(bags)]
+        assert len({len(line) for line in lines}) == 1
+        assert len(lines[0]) <= width
+        assert lines[1].startswith("one ")
+        assert lines[2].startswith("long_")
+    assert (len(parts) == 1) == (width == 400)
+
+
+def test_usual_names_take_two_tables_of_80_columns() -> None:
+    for columns in (COLUMNS, OBJECT_COLUMNS):
+        table = Table.of(["mog2 stabilised"], "segmenter", columns)
+        assert len(table.fitted(80)) == 2
+
+
+def test_the_width_is_that_of_the_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "400")
+    assert len(Table.of(["one"]).fitted()) == 1
+    monkeypatch.setenv("COLUMNS", "80")
+    assert len(Table.of(["one"]).fitted()) == 2
+
+
+def test_bags_are_named_without_the_folders_that_they_share() -> None:
+    assert short_names(["a/b/one", "a/b/two"]) == {"a/b/one": "one", "a/b/two": "two"}
+    assert short_names(["a/one", "b/one"]) == {"a/one": "a/one", "b/one": "b/one"}
+    assert short_names(["bags/one"]) == {"bags/one": "one"}

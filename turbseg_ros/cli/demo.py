@@ -115,8 +115,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (ProcessError, EvaluationError) as error:
         return _fall_short(str(error))
     write_json(products.scores, [scores], _PARAMETERS.as_mapping())
-    table = Table.of([scores.bag])
-    print(f"{table.head}\n{table.row(scores)}\n{products.scores}, {products.overlay}")
+    for table in Table.of_bags([scores.bag]).fitted():
+        print(f"{table.head}\n{table.row(scores)}\n")
+    print(f"{products.scores}, {products.overlay}")
     if unanswered:
         return _fall_short(f"{unanswered} of {scores.frames + unanswered} frames went unanswered")
     if scores.j is None or scores.j < options.minimum_j:

@@ -124,8 +124,7 @@ def _score_recorded(options: argparse.Namespace) -> int:
     predictions = read_labels(BagReader(options.predictions), options.labels_topic)
     scores = evaluate_labels(str(bag), predictions, truth, read_ignored(reader))
     for columns in (COLUMNS, OBJECT_COLUMNS):
-        table = Table.of([scores.bag], columns=columns)
-        print(table.head, table.row(scores), sep="\n")
+        print(*_tables([scores], Table.of_bags([scores.bag], columns).fitted()), sep="\n")
     if options.json is not None:
         # Who made them, and with which parameters, is not known.
         write_json(options.json, [scores], {})
@@ -322,7 +321,7 @@ def _rough(seconds: float) -> str:
 
 def _print_scores(evaluation: _Evaluation, runner: Runner[RunResult], runs: Sequence[Run]) -> None:
     """Run the method on each bag and print a line of scores as soon as they are there."""
-    table = Table.of([run.source.name for run in runs])
+    table, *rest = Table.of_bags([run.source.name for run in runs]).fitted()
     print(table.head, flush=True)
     scored = []
     try:
@@ -334,11 +333,15 @@ def _print_scores(evaluation: _Evaluation, runner: Runner[RunResult], runs: Sequ
         if len(scored) > 1:
             print(table.mean(scored), flush=True)
         if scored:
-            print("", *_object_table(scored), sep="\n", flush=True)
+            rest += Table.of_bags([scores.bag for scores in scored], OBJECT_COLUMNS).fitted()
+            print("", *_tables(scored, rest), sep="\n", flush=True)
 
 
-def _object_table(scored: Sequence[BagScores]) -> list[str]:
-    """Return the lines of the table about boxes, false objects and ids."""
-    table = Table.of([scores.bag for scores in scored], columns=OBJECT_COLUMNS)
-    mean = [table.mean(scored)] if len(scored) > 1 else []
-    return [table.head, *map(table.row, scored), *mean]
+def _tables(scored: Sequence[BagScores], tables: Sequence[Table]) -> list[str]:
+    """Return the lines of tables, one after another, with their means."""
+    lines: list[str] = []
+    for table in tables:
+        gap = [""] if lines else []
+        mean = [table.mean(scored)] if len(scored) > 1 else []
+        lines += [*gap, table.head, *map(table.row, scored), *mean]
+    return lines

@@ -289,8 +289,11 @@ def text_table(scored: ScoredExperiment) -> list[str]:
     """Return the means over the bags as lines of text: all figures, or of a curve J."""
     if scored.strengths:
         return _curve_table(scored)
-    table = Table.of([row.name for row in scored.rows], scored.experiment.rows_are)
-    lines = [table.head, *(table.mean(row.bags, row.name) for row in scored.rows)]
+    whole = Table.of([row.name for row in scored.rows], scored.experiment.rows_are)
+    lines: list[str] = []
+    for table in whole.fitted():
+        gap = [""] if lines else []
+        lines += [*gap, table.head, *(table.mean(row.bags, row.name) for row in scored.rows)]
     return [*lines, *(f"not run: {line}" for line in scored.idle_reasons)]
 
 

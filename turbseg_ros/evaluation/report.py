@@ -25,6 +25,7 @@ from turbseg_ros.evaluation.scores import (
     OBJECT_COLUMNS,
     BagScores,
     mean_scores,
+    short_names,
     write_whole,
 )
 from turbseg_ros.overlay import Colour
@@ -116,7 +117,7 @@ class ReportWriter:
             mean=mean_scores(scores),
             reliability=_reliability(scores),
             summary=_summary(scores),
-            short=_short_names([bag.bag for bag in scores]),
+            short=short_names([bag.bag for bag in scores]),
             experiments=[_view(experiment) for experiment in report.experiments],
             bags=[_bag_view(report, run) for run in report.runs],
             parameters=report.parameters.as_mapping(),
@@ -194,15 +195,6 @@ def _summary(scores: Sequence[BagScores]) -> list[_Figure]:
         _Figure(name, "-" if value is None else format(value, form), note)
         for name, value, form, note in figures
     ]
-
-
-def _short_names(bags: Sequence[str]) -> dict[str, str]:
-    """Return each bag's name without the folders that all of them are in."""
-    parts = [Path(bag).parts for bag in bags]
-    shared = 0
-    while all(len(each) > shared + 1 for each in parts) and len({p[shared] for p in parts}) == 1:
-        shared += 1
-    return {bag: str(Path(*each[shared:])) for bag, each in zip(bags, parts, strict=True)}
 
 
 def _view(scored: ScoredExperiment) -> _ExperimentView:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +40,8 @@ from turbseg_ros.messages.detections import Detection
 _TOUCHING = 1e-9
 # IoU from which on a box counts as found well.
 _WELL = 0.5
+# Between the columns of a table.
+_GAP = "  "
 
 
 @dataclass(frozen=True)
@@ -380,15 +383,13 @@ COLUMNS = (
         ".4g",
         "frames without any true object in which something was found",
     ),
-    Column(
-        "alarm area", "false_alarm_area", ".3%", "share of the image found where nothing moves"
-    ),
+    Column("area", "false_alarm_area", ".3%", "share of the image found where nothing moves"),
     Column("false obj", "false_objects", ".2f", "objects a frame that were found in vain"),
     Column("id sw", "id_switches", ".4g", "times that a true object changed its id"),
     Column("fps", "fps", ".1f", "frames a second of segmentation; runs share the cores"),
     Column("ms p50", "ms_p50", ".1f", "median time that a frame took, milliseconds"),
     Column("ms p95", "ms_p95", ".1f", "time that one frame in twenty exceeded, milliseconds"),
-    Column("tilt px", "tilt_px", ".2f", "turbulence as it was measured: rms tilt an axis, pixels"),
+    Column("tilt", "tilt_px", ".2f", "turbulence as it was measured: rms tilt an axis, pixels"),
 )
 
 OBJECT_COLUMNS = (
@@ -409,23 +410,51 @@ OBJECT_COLUMNS = (
 """What a second table tells of objects: boxes, false ones, ids."""
 
 
+def short_names(bags: Sequence[str]) -> dict[str, str]:
+    """Return each bag's name without the folders that all of them are in."""
+    parts = [Path(bag).parts for bag in bags]
+    shared = 0
+    while all(len(each) > shared + 1 for each in parts) and len({p[shared] for p in parts}) == 1:
+        shared += 1
+    return {bag: str(Path(*each[shared:])) for bag, each in zip(bags, parts, strict=True)}
+
+
 @dataclass(frozen=True)
 class Table:
     """A plain-text table of scores that can be printed line by line.
 
-    `title` heads its first column, which is `name_width` characters wide.
+    `title` heads its first column, which is `name_width` characters wide; longer names lose their
+    middle. `short` has names that stand for others.
     """
 
     title: str
     name_width: int
     columns: Sequence[Column] = COLUMNS
+    short: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
     def of(
         cls, names: Sequence[str], title: str = "bag", columns: Sequence[Column] = COLUMNS
     ) -> Table:
-        """Lay out a table for bags, or whatever `title` says, of these names."""
+        """Lay out a table for whatever `title` says, of these names."""
         return cls(title, max(map(len, (*names, title, "mean"))), columns)
+
+    @classmethod
+    def of_bags(cls, names: Sequence[str], columns: Sequence[Column] = COLUMNS) -> Table:
+        """Lay out a table for bags of these names, without the folders that they share."""
+        short = short_names(names)
+        return replace(cls.of(list(short.values()), columns=columns), short=short)
+
+    def fitted(self, width: int | None = None) -> list[Table]:
+        """Return tables of the same rows that share its columns out, as `width` has room for them.
+
+        There are as few as can be, as wide as one another. Without a width, it is the terminal's.
+        """
+        width = width or shutil.get_terminal_size().columns
+        named = replace(self, name_width=min(self.name_width, max(width // 2, 8)))
+        fewest = len(named._parts(width))
+        least = next(w for w in range(width + 1) if len(named._parts(w)) <= fewest)
+        return [replace(named, columns=part) for part in named._parts(least)]
 
     @property
     def head(self) -> str:
@@ -434,20 +463,36 @@ class Table:
 
     def row(self, scores: BagScores) -> str:
         """Return the line of one bag."""
-        return self._row(scores.bag, dataclasses.asdict(scores))
+        name = self.short.get(scores.bag, scores.bag)
+        return self._row(name, dataclasses.asdict(scores))
 
     def mean(self, bags: Sequence[BagScores], name: str = "mean") -> str:
         """Return the line of the means over bags."""
         return self._row(name, mean_scores(bags))
 
+    def _parts(self, width: int) -> list[list[Column]]:
+        parts: list[list[Column]] = []
+        left = 0
+        for column in self.columns:
+            needed = column.width + len(_GAP)
+            if not parts or left < needed:
+                parts.append([])
+                left = width - self.name_width
+            parts[-1].append(column)
+            left -= needed
+        return parts
+
     def _row(self, name: str, figures: Mapping[str, Any]) -> str:
         return self._line(name, [column.text(figures) for column in self.columns])
 
     def _line(self, name: str, cells: Sequence[str]) -> str:
+        if len(name) > self.name_width:
+            half = (self.name_width - 1) // 2
+            name = f"{name[: self.name_width - 1 - half]}…{name[len(name) - half :]}"
         padded = (
             cell.rjust(column.width) for cell, column in zip(cells, self.columns, strict=True)
         )
-        return "  ".join((name.ljust(self.name_width), *padded))
+        return _GAP.join((name.ljust(self.name_width), *padded))
 
 
 def _mean(values: Sequence[float] | npt.NDArray[Any]) -> float | None:
