@@ -1,5 +1,6 @@
 """The package as colcon builds it, and the executable where `ros2 run` looks for it."""
 
+import re
 import shutil
 import signal
 import subprocess
@@ -46,6 +47,25 @@ def test_executables_lie_where_ros2_run_looks(workspace):
     assert (share / "ament_index/resource_index/packages/turbseg_ros").exists()
     assert (share / "turbseg_ros" / "package.xml").exists()
     assert (share / "turbseg_ros" / "launch" / "turbseg.launch.py").exists()
+
+
+def test_colcon_runs_the_tests(workspace):
+    colcon = Path(sys.executable).with_name("colcon")
+    tests = workspace / "src" / "turbseg_ros" / "test"
+    tests.mkdir()
+    shutil.copytree(SOURCE / "test" / "support", tests / "support")
+    shutil.copy(SOURCE / "test" / "test_throttle.py", tests)
+    for words in (["test", "--return-code-on-test-failure"], ["test-result", "--verbose"]):
+        done = subprocess.run(
+            [colcon, *words],
+            cwd=workspace,
+            capture_output=True,
+            text=True,
+            timeout=100,
+            check=False,
+        )
+        assert done.returncode == 0, done.stdout + done.stderr
+    assert re.search(r"^Summary: [1-9]\d* tests, 0 errors, 0 failures", done.stdout, re.M)
 
 
 def test_the_workspace_goes_before_other_installations(workspace):

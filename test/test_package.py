@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import os
 import re
 import subprocess
@@ -15,6 +16,11 @@ import yaml
 from support.paths import ROOT
 from turbseg_ros import __version__
 
+# What extras of setup.py bring, each told in one line where it is missing.
+EXTRAS = {
+    *("av", "distributed", "jinja2", "lz4", "mcap", "pyarrow", "rosbags", "zstandard"),
+    *("onnx", "onnxscript", "safetensors", "torch", "torchvision", "vision_msgs"),
+}
 MANIFEST = ElementTree.parse(ROOT / "package.xml").getroot()
 CITATION = yaml.safe_load((ROOT / "CITATION.cff").read_text())
 
@@ -87,6 +93,30 @@ def test_reading_a_bag_brings_nothing_but_mcap(metadata):
     assert extras["bags"] == {"mcap"}
     assert extras["evaluation"] == {"jinja2"}
     assert extras["cluster"] == {"distributed"}
+
+
+def test_bloom_finds_a_changelog_that_it_can_read() -> None:
+    changelog = pytest.importorskip("catkin_pkg.changelog", reason="colcon is not installed")
+    read = changelog.get_changelog_from_path(str(ROOT / "CHANGELOG.rst"), "turbseg_ros")
+    heads = re.findall(r"^## (\d+\.\d+\.\d+)", (ROOT / "CHANGELOG.md").read_text(), re.M)
+    assert [version for version, *_ in read.foreach_version()] == heads[1:]
+    assert "\nForthcoming\n" in (ROOT / "CHANGELOG.rst").read_text()
+
+
+def test_rosdep_installs_all_that_is_imported_but_for_extras() -> None:
+    keys = {element.text for element in MANIFEST.iter("exec_depend")}
+    names = {"cv2": "python3-opencv", "yaml": "python3-yaml"}
+    imported = set()
+    for path in [*(ROOT / "turbseg_ros").rglob("*.py"), *(ROOT / "launch").glob("*.py")]:
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Import):
+                imported |= {alias.name.partition(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+                imported.add(node.module.partition(".")[0])
+    others = imported - set(sys.stdlib_module_names) - {"turbseg_ros"}
+    missing = {name for name in others if not {name, names.get(name, f"python3-{name}")} & keys}
+    assert missing <= EXTRAS
+    assert "rclpy" in others and "rclpy" not in missing
 
 
 def test_the_paper_is_cited():
