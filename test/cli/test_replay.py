@@ -396,7 +396,7 @@ def test_evaluate_writes_table_and_json(
     assert (scores["id_switches"], scores["tilt_px"]) == (0, 0.25)
     assert content["mean"]["j"] == 1.0
     assert content["parameters"]["max_objects"] == 4
-    assert str(bag) in capsys.readouterr().out
+    assert f"\n{bag.name} " in capsys.readouterr().out
 
 
 def test_one_bag_that_fails_does_not_stop_the_others(

@@ -48,7 +48,8 @@ def jobs(monkeypatch: pytest.MonkeyPatch) -> list[ReplayJob]:
 
 
 def messages(path: Path) -> list[tuple[str, object]]:
-    return [(record.topic, record.message()) for record in BagReader(path).messages()]
+    topics = ["/turbseg/labels", "/turbseg/centroids", "/turbseg/annotations"]
+    return [(record.topic, record.message()) for record in BagReader(path).messages(topics)]
 
 
 def test_two_workers_write_what_each_bag_alone_gives(
