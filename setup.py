@@ -11,6 +11,7 @@ EXECUTABLES = (
     "node",
     "play",
     "replay",
+    "record",
     "evaluate",
     "simulate",
     "train",

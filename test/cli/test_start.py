@@ -61,7 +61,18 @@ def test_an_interrupt_while_modules_load_ends_the_process_in_silence(name, momen
 
 @pytest.mark.parametrize(
     "name",
-    ["node", "play", "replay", "evaluate", "simulate", "import", "benchmark", "demo", "view"],
+    [
+        "node",
+        "play",
+        "replay",
+        "evaluate",
+        "simulate",
+        "import",
+        "benchmark",
+        "demo",
+        "view",
+        "record",
+    ],
 )
 def test_every_executable_starts_by_its_name(name):
     process = run("-m", "turbseg_ros.cli", name, "--help")

@@ -38,6 +38,7 @@ def _starter(module: str) -> Callable[[], int]:
 node = _starter("node")
 play = _starter("play")
 replay = _starter("replay")
+record = _starter("record")
 evaluate = _starter("evaluate")
 simulate = _starter("simulate")
 import_ = _starter("import_")
@@ -52,6 +53,7 @@ _STARTERS = {
     "node": node,
     "play": play,
     "replay": replay,
+    "record": record,
     "evaluate": evaluate,
     "simulate": simulate,
     "import": import_,

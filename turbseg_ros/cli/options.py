@@ -63,7 +63,7 @@ def add_section_options(parser: argparse.ArgumentParser) -> None:
     """Add `--start` and `--duration`, which choose a part of a recording."""
     parser.add_argument(
         "--start",
-        type=_seconds,
+        type=seconds,
         default=0.0,
         metavar="S",
         help="begin S seconds after the recording's first message (default: 0)",
@@ -170,7 +170,7 @@ def _described(declaration: Declaration) -> str:
     return f"  {declaration.name}\n{body}"
 
 
-def _seconds(text: str) -> float:
+def seconds(text: str) -> float:
     """Read a finite number that is not below 0."""
     value = float(text)
     if not (math.isfinite(value) and value >= 0):

@@ -1,0 +1,74 @@
+"""A running node is recorded while it shows an object, with what was before."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from sensor_msgs.msg import Image
+from visualization_msgs.msg import Marker, MarkerArray
+
+from support.node_harness import Camera, NodeProcess, Probe, texture
+from turbseg_ros.bag.reader import BagReader
+from turbseg_ros.cli import record
+from turbseg_ros.messages.images import message_from_image
+
+IMAGE = message_from_image(texture(np.random.default_rng(0), (12, 16), 0, 255), "mono8", 0)
+OBJECT = MarkerArray(markers=[Marker(ns="centroid", id=1, action=Marker.ADD)])
+NOTHING = MarkerArray(markers=[Marker(ns="centroid", id=1, action=Marker.DELETE)])
+
+
+@pytest.fixture
+def probe() -> Iterator[Probe]:
+    with Probe() as probe:
+        yield probe
+
+
+def test_a_bag_begins_before_an_object_and_ends_after_it(tmp_path: Path, probe: Probe) -> None:
+    # The test's own node stands for the one that segments.
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "turbseg_ros.cli", "record", "-o", str(out)]
+    command += ["--node", "/probe", "--pre-roll", "600", "--post-roll", "1"]
+    centroids = probe.advertise("/probe/centroids", MarkerArray, heard=False)
+    with NodeProcess(tmp_path / "log", command=command) as recorder:
+        camera = Camera(probe, "/lens/image_raw", rate=30.0, heard=False)
+        probe.listen("/lens/image_raw", Image)
+        for topic in ("/lens/image_raw", "/probe/centroids"):
+            probe.wait_for(
+                lambda topic=topic: f"recording {topic} (" in recorder.output, f"its {topic}"
+            )
+        # Both are heard by now: the watch, and what writes it.
+        probe.wait_for(lambda: centroids.get_subscription_count() == 2, "both subscriptions")
+        for _ in range(5):
+            centroids.publish(NOTHING)
+            camera.send(IMAGE)
+        centroids.publish(OBJECT)
+        probe.wait_for(lambda: f"{out}/" in recorder.output, "the bag to begin")
+        sent = 5
+
+        def goes_on() -> bool:
+            nonlocal sent
+            camera.send(IMAGE)
+            sent += 1
+            return "messages" in recorder.output
+
+        probe.wait_for(goes_on, "the bag to end")
+        assert recorder.stop(signal.SIGINT) == 0
+    (bag,) = out.iterdir()
+    counts = Counter(message.topic for message in BagReader(bag).messages())
+    assert counts["/probe/centroids"] == 6
+    # Images are published reliably: those before the object are all there.
+    assert 5 < counts["/lens/image_raw"] <= sent
+
+
+def test_a_folder_that_cannot_be_made_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("")
+    assert record.main(["-o", str(tmp_path / "file" / "bags")]) == 2
+    assert "can't be made" in capsys.readouterr().err
