@@ -571,6 +571,13 @@ class Parameters:
         read_only=True,
         node_only=True,
     )
+    enabled: bool = parameter(
+        True,
+        "Whether the node listens from the start; else it stands by, at no cost, until ~/enable "
+        "is called.",
+        read_only=True,
+        node_only=True,
+    )
     queue_size: int = parameter(
         10,
         "Images that may wait to be segmented; when more do, the oldest are dropped and counted.",

@@ -163,6 +163,38 @@ def lines(node: NodeProcess, text: str) -> list[str]:
     return [line for line in node.output.splitlines() if text in line]
 
 
+def test_a_node_on_stand_by_hears_nothing_until_it_is_enabled(tmp_path, probe):
+    remapping = ("-r", "__ns:=/rests", "-r", "image_raw:=/rests_lens/image_raw")
+    inputs = ("/rests_lens/image_raw", "/rests_lens/camera_info")
+    with stub_node(tmp_path / "output", *remapping, "-p", "enabled:=false") as node:
+        diagnostics = probe.listen("/diagnostics", DiagnosticArray)
+        probe.wait_for(lambda: diagnostics, "diagnostics")
+        assert diagnostics[-1].status[0].level == DiagnosticStatus.OK
+        assert "disabled" in diagnostics[-1].status[0].message
+        assert [probe.node.count_subscribers(topic) for topic in inputs] == [0, 0]
+        centroids = probe.listen("/rests/turbseg/centroids", MarkerArray)
+        # There is nothing yet that could be reset.
+        assert probe.call("/rests/turbseg/reset", Trigger, Trigger.Request()).success
+        assert probe.call("/rests/turbseg/enable", SetBool, SetBool.Request(data=True)).success
+        camera = Camera(probe, inputs[0], rate=30.0)
+        send_until(probe, camera, lambda: answered(centroids))
+        assert probe.call("/rests/turbseg/enable", SetBool, SetBool.Request(data=False)).success
+        probe.wait_for(
+            lambda: not any(map(probe.node.count_subscribers, inputs)), "what it heard to go"
+        )
+        assert node.stop(signal.SIGINT) == 0
+
+
+def test_what_cannot_be_had_is_told_when_a_node_is_enabled(tmp_path, probe):
+    command = (sys.executable, "-m", "turbseg_ros.cli", "node")
+    arguments = ("-r", "__ns:=/lacks", "-p", "enabled:=false", "-p", "flow.backend:=no_such:Flow")
+    with NodeProcess(tmp_path / "output", *arguments, command=command) as node:
+        answer = probe.call("/lacks/turbseg/enable", SetBool, SetBool.Request(data=True))
+        assert not answer.success
+        assert "no_such" in answer.message
+        assert node.stop(signal.SIGINT) == 0
+
+
 def test_the_log_tells_of_start_first_image_enable_and_reset(tmp_path, probe):
     remapping = ("-r", "__ns:=/told", "-r", "image_raw:=/told_lens/image_raw")
     with stub_node(tmp_path / "output", *remapping) as node:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import dataclass
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -10,6 +11,7 @@ from rclpy.clock import Clock, ClockType, JumpThreshold, TimeJump
 from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
+from rclpy.subscription import Subscription
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_srvs.srv import SetBool, Trigger
 
@@ -34,6 +36,7 @@ from turbseg_ros.nodes.worker import SegmentationWorker
 from turbseg_ros.parameters import ParameterError, Parameters
 from turbseg_ros.region_file import marked_regions
 from turbseg_ros.segmentation.frame import Frame, SegmentationResult
+from turbseg_ros.segmentation.motion_segmenter import MotionSegmenter
 
 _DIAGNOSTICS_PERIOD = 1.0
 # A camera that offers less than is asked for goes unheard until its offer is looked at.
@@ -54,8 +57,10 @@ class TurbsegNode(ReceivingNode):
     """Segments what really moves before a camera that looks through turbulent air.
 
     Subscribes to `image_raw` and, if there is one, `camera_info`; publishes results below its
-    own name and `/diagnostics`; serves `~/reset` and `~/enable`. Callbacks only take note: images
-    are received in one thread and segmented in another, which `destroy_node` ends.
+    own name and `/diagnostics`; serves `~/reset` and `~/enable`. While it is disabled it
+    subscribes to nothing, and before it is enabled for the first time it has no segmenter.
+    Callbacks only take note: images are received in one thread and segmented in another, which
+    `destroy_node` ends.
 
     :raises ParameterError: when a parameter that it was started with is refused, or fits recorded
         clips only.
@@ -85,30 +90,10 @@ class TurbsegNode(ReceivingNode):
         )
         self._input_watch = InputWatch(self.get_logger())
         self._awaits_first_image = True
-        self._segmenter = motion_segmenter(parameters)
-        self._worker = SegmentationWorker(
-            self._segmenter,
-            convert=self._frame,
-            publish=self._publish,
-            now=lambda: self.get_clock().now().nanoseconds,
-            statistics=self._statistics,
-            logger=self.get_logger(),
-            queue_size=parameters.queue_size,
-            on_pause=self._results.remove_marks,
-        )
+        self._work: _Work | None = None
         self._taker = MessageTaker(self)
-        self._images: MatchingSubscription | None = self._subscribe()
-        # What is latched, only the second one gets; what isn't, only the first.
-        self._camera_info, _ = (
-            self.create_subscription(
-                CameraInfo,
-                self._camera_info_topic(),
-                self._markers.calibrate,
-                qos,
-                event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
-            )
-            for qos in (qos_profile_sensor_data, _LATCHED)
-        )
+        self._images: MatchingSubscription | None = None
+        self._camera_info: list[Subscription] = []
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(SetBool, "~/enable", self._on_enable)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
@@ -119,8 +104,10 @@ class TurbsegNode(ReceivingNode):
         self._clock_jumps = self.get_clock().create_jump_callback(
             _CLOCK_JUMP, post_callback=self._on_clock_jump
         )
-        self._worker.start()
-        self._tell_what_is_heard(self._images)
+        if parameters.enabled:
+            self._listen()
+        else:
+            self.get_logger().info("disabled: no image is heard until ~/enable is called")
 
     def destroy_node(self) -> None:
         """Answer the frames at hand, then take the node out of the graph."""
@@ -128,12 +115,50 @@ class TurbsegNode(ReceivingNode):
             if self._images is not None:
                 self._images.destroy()
         finally:
-            self._worker.stop()
+            if self._work is not None:
+                self._work.worker.stop()
             # What a busy listener has not got by now would go with the publishers.
             self._results.wait_until_received(_FAREWELL)
             super().destroy_node()
 
-    def _subscribe(self) -> MatchingSubscription:
+    def _listen(self) -> None:
+        """Subscribe to images and calibration, and have a segmenter for them.
+
+        :raises ParameterError: when a segmenter, or the subscription, can't be had as asked for.
+        """
+        if self._work is None:
+            self._work = self._started_work()
+        self._images = self._subscribe(self._work.worker)
+        # What is latched, only the second one gets; what isn't, only the first.
+        self._camera_info = [
+            self.create_subscription(
+                CameraInfo,
+                self._camera_info_topic(),
+                self._markers.calibrate,
+                qos,
+                event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
+            )
+            for qos in (qos_profile_sensor_data, _LATCHED)
+        ]
+        self._tell_what_is_heard(self._images, self._work)
+
+    def _started_work(self) -> _Work:
+        parameters = self._parameter_handler.current
+        segmenter = motion_segmenter(parameters)
+        worker = SegmentationWorker(
+            segmenter,
+            convert=self._frame,
+            publish=self._publish,
+            now=lambda: self.get_clock().now().nanoseconds,
+            statistics=self._statistics,
+            logger=self.get_logger(),
+            queue_size=parameters.queue_size,
+            on_pause=self._results.remove_marks,
+        )
+        worker.start()
+        return _Work(segmenter, worker)
+
+    def _subscribe(self, worker: SegmentationWorker) -> MatchingSubscription:
         parameters = self._parameter_handler.current
         # Resolved first, so that remapping image_raw moves the compressed topic along.
         topic = self.resolve_topic_name("image_raw")
@@ -143,7 +168,7 @@ class TurbsegNode(ReceivingNode):
             self,
             self._image_type,
             topic,
-            self._worker.submit,
+            worker.submit,
             taker=self._taker,
             depth=max(parameters.queue_size, _MIN_DEPTH),
             reliability=parameters.qos.reliability,
@@ -161,12 +186,12 @@ class TurbsegNode(ReceivingNode):
         namespace, _, _ = self.resolve_topic_name("image_raw").rpartition("/")
         return f"{namespace}/camera_info"
 
-    def _tell_what_is_heard(self, images: MatchingSubscription) -> None:
+    def _tell_what_is_heard(self, images: MatchingSubscription, work: _Work) -> None:
         latency = self._parameter_handler.current.latency
         self.get_logger().info(
             f"listening to {images.topic} ({images.type_name}), {images.qos}; camera_info on "
-            f"{self._camera_info.topic_name}; latency mode {latency.mode}: results come "
-            f"{self._segmenter.look_ahead} frames later"
+            f"{self._camera_info[0].topic_name}; latency mode {latency.mode}: results come "
+            f"{work.segmenter.look_ahead} frames later"
         )
 
     def _publish(self, result: SegmentationResult) -> None:
@@ -188,15 +213,18 @@ class TurbsegNode(ReceivingNode):
             self.get_logger().info(f"{name} is now {value}")
         if after == before:
             self.get_logger().info("regions are read again")
+        if self._work is None:
+            return
         # What only the node itself reads leaves the window as it is.
         if after == before or dataclasses.replace(after, diagnostics=before.diagnostics) != before:
-            self._worker.reconfigure(after)
+            self._work.worker.reconfigure(after)
 
     def _tell_misfit(self, reason: str) -> None:
         self.get_logger().warning(f"markers stay in pixels: {reason}")
 
     def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._worker.restart("reset was called")
+        if self._work is not None:
+            self._work.worker.restart("reset was called")
         response.success = True
         response.message = "the window and all tracks are cleared"
         return response
@@ -205,14 +233,22 @@ class TurbsegNode(ReceivingNode):
         if request.data and self._images is None:
             self._statistics.expect_images()
             self._awaits_first_image = True
-            self._images = self._subscribe()
+            try:
+                self._listen()
+            except ParameterError as error:
+                self.get_logger().error(f"not enabled: {error}")
+                response.success, response.message = False, str(error)
+                return response
             self.get_logger().info("enabled")
-            self._tell_what_is_heard(self._images)
         elif not request.data and self._images is not None:
             # Nothing is left to receive, so a disabled node costs no network either.
             self._images.destroy()
             self._images = None
-            self._worker.end_stream()
+            for subscription in self._camera_info:
+                self.destroy_subscription(subscription)
+            self._camera_info = []
+            if self._work is not None:
+                self._work.worker.end_stream()
             self.get_logger().info("disabled: no image is heard until ~/enable is called again")
         response.success = True
         response.message = "enabled" if request.data else "disabled"
@@ -236,12 +272,12 @@ class TurbsegNode(ReceivingNode):
         self._watch_input(report)
 
     def _watch_input(self, report: Report) -> None:
-        images = self._images
-        if images is not None:
+        images, work = self._images, self._work
+        if images is not None and work is not None:
             self._input_watch.check(
                 images.topic,
                 report.silence,
-                self._worker.patience,
+                work.worker.patience,
                 report.totals[Event.RECEIVED],
                 lambda: self._why_silent(images),
             )
@@ -264,6 +300,7 @@ class TurbsegNode(ReceivingNode):
 
     def _state(self) -> NodeState:
         images, parameters = self._images, self._parameter_handler.current
+        work = self._work
         return NodeState(
             topic=images.topic if images else "",
             enabled=images is not None,
@@ -274,14 +311,22 @@ class TurbsegNode(ReceivingNode):
                 else ""
             ),
             reliability=images.reliability.name.lower() if images else "",
-            patience=self._worker.patience,
+            patience=work.worker.patience if work else 0.0,
             limits=parameters.diagnostics,
             has_time=self.get_clock().now().nanoseconds > 0,
             latency_mode=parameters.latency.mode,
-            look_ahead=self._segmenter.look_ahead,
-            waiting=self._worker.waiting,
-            device=self._segmenter.device,
+            look_ahead=work.segmenter.look_ahead if work else 0,
+            waiting=work.worker.waiting if work else 0,
+            device=work.segmenter.device if work else "none yet",
         )
+
+
+@dataclass(frozen=True)
+class _Work:
+    """What segments, and the thread that drives it."""
+
+    segmenter: MotionSegmenter
+    worker: SegmentationWorker
 
 
 def _refuse_whole_clip(parameters: Parameters) -> None:
