@@ -66,6 +66,13 @@ def test_outlines_follow_the_scale_of_the_canvas(scale: float) -> None:
     assert centre == pytest.approx((60 * scale - 0.5, 35 * scale - 0.5), abs=1.0)
 
 
+@pytest.mark.parametrize(("width", "thick"), [(480, 2), (1920, 4)])
+def test_outlines_are_two_pixels_wide_and_wider_on_large_canvases(width: int, thick: int) -> None:
+    picture = draw_overlay(drawn(), [OutlineAnnotator()], width=width).image
+    column = picture[: picture.shape[0] // 2 - width // 100, width // 2].max(axis=1)
+    assert thick <= np.count_nonzero(column > 128) <= thick + 2
+
+
 def test_regions_are_broken_lines_in_a_colour_for_each_kind_below_what_was_found() -> None:
     corners = np.array([[0.25, 0.25], [0.75, 0.25], [0.75, 0.75], [0.25, 0.75]])
     mask = np.zeros((80, 120), bool)
@@ -94,7 +101,10 @@ def test_trail_is_drawn_where_the_object_was() -> None:
         result.frame, result.labels, (moving_object,), result.motion_map, 0.1, "affine"
     )
     picture = draw_overlay(result, [TrailAnnotator()]).image
-    assert picture[34:36, 10:60].any(axis=(0, 2)).all()
+    drawn_columns = np.asarray(picture[34:36, 10:60].any(axis=(0, 2)))
+    # From its beginning on it is dotted, which no outline is.
+    assert drawn_columns[0]
+    assert 5 <= np.count_nonzero(np.diff(drawn_columns.astype(int)) == 1) <= 8
     assert not picture[:, :8].any()
 
 

@@ -39,6 +39,10 @@ _SHADOW: Colour = (20, 20, 20)
 WHITE: Colour = (245, 245, 245)
 _IGNORED: Colour = (70, 70, 235)
 _INCLUDED: Colour = (90, 220, 90)
+# Width of a canvas for each pixel of an outline's.
+_WIDTH_PER_PIXEL = 480.0
+# From one dot of a trail to the next, and a dot's radius, in widths of an outline.
+_DOT_STEP, _DOT_RADIUS = 4.0, 0.5
 # Length of a broken line's pieces, in pixels of the canvas.
 _DASH = 6.0
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
@@ -86,6 +90,11 @@ class Canvas:
         """Font scale at which a digit stays readable, whatever the size of the canvas."""
         return float(np.clip(self.image.shape[0] / 28.0, 9.0, 30.0)) / _FONT_HEIGHT
 
+    @property
+    def line_width(self) -> int:
+        """Width of an outline in pixels: two, and more on large canvases."""
+        return max(2, round(self.image.shape[1] / _WIDTH_PER_PIXEL))
+
     def fixed_point(self, points: npt.ArrayLike) -> npt.NDArray[np.int32]:
         """Return frame positions (x, y) on the canvas, in OpenCV's fixed-point numbers."""
         # A pixel's centre lies at a whole number in the frame and on the canvas alike.
@@ -111,7 +120,8 @@ class OutlineAnnotator:
                 canvas.fixed_point(contour) for contour in outlines(result.labels, moving_object)
             ]
             colour = colour_of(moving_object.id)
-            cv2.polylines(canvas.image, contours, True, colour, 1, cv2.LINE_AA, _SHIFT)
+            width = canvas.line_width
+            cv2.polylines(canvas.image, contours, True, colour, width, cv2.LINE_AA, _SHIFT)
 
 
 @dataclass(frozen=True)
@@ -146,15 +156,29 @@ def _dashes(contour: npt.NDArray[np.float64], scale: float) -> list[npt.NDArray[
 
 @dataclass(frozen=True)
 class TrailAnnotator:
-    """The way each object came, in the object's colour."""
+    """The way each object came, dotted, in the object's colour."""
 
     def annotate(self, canvas: Canvas, result: SegmentationResult) -> None:
         """Draw on `canvas`, in place."""
+        radius = round(_DOT_RADIUS * canvas.line_width * (1 << _SHIFT))
         for moving_object in result.objects:
-            if moving_object.trail:
-                trail = canvas.fixed_point((*moving_object.trail, moving_object.centroid))
-                colour = colour_of(moving_object.id)
-                cv2.polylines(canvas.image, [trail], False, colour, 1, cv2.LINE_AA, _SHIFT)
+            if not moving_object.trail:
+                continue
+            way = np.array((*moving_object.trail, moving_object.centroid), np.float64)
+            colour = colour_of(moving_object.id)
+            for dot in canvas.fixed_point(
+                _dots(way, _DOT_STEP * canvas.line_width / canvas.scale)
+            ):
+                cv2.circle(
+                    canvas.image, dot.tolist(), radius, colour, cv2.FILLED, cv2.LINE_AA, _SHIFT
+                )
+
+
+def _dots(way: npt.NDArray[np.float64], step: float) -> npt.NDArray[np.float64]:
+    """Return points, Nx2, along a way, Nx2, so far from each other; the first is its beginning."""
+    at = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(way, axis=0).T))])
+    ends = np.arange(0.0, at[-1] + step / 2.0, step)
+    return np.stack([np.interp(ends, at, way[:, axis]) for axis in (0, 1)], axis=-1)
 
 
 @dataclass(frozen=True)

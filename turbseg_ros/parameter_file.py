@@ -38,7 +38,9 @@ _QUOTES = ("'", '"')
 _TEXT_TAG = "tag:yaml.org,2002:str"
 
 
-def load_parameters(path: Path, node: str | None = None) -> Parameters:
+def load_parameters(
+    path: Path, node: str | None = None, before: Parameters | None = None
+) -> Parameters:
     """Read what a ROS 2 parameter file (``/**: ros__parameters: ...``) sets for a node.
 
     As in ROS, sections may be nested or hold wildcards (`*` for one token of the name, `**` for
@@ -47,11 +49,12 @@ def load_parameters(path: Path, node: str | None = None) -> Parameters:
 
     :param node: full name of the node, as `/north/turbseg`; by default, that of the one node
         called turbseg that the file names, or `/turbseg`.
+    :param before: what holds where the file says nothing; by default, the defaults.
     :raises ParameterError: when the file can't be read as one, says nothing to the node, or holds
         an unknown name or a refused value; the text names the file.
     """
     try:
-        return Parameters.from_mapping(_values_for(node, parsed(path.read_text())))
+        return (before or Parameters()).replace(_values_for(node, parsed(path.read_text())))
     except OSError as error:
         raise ParameterError(f"{path}: {error.strerror or error}") from error
     except ParameterError as error:

@@ -10,7 +10,6 @@ import cv2
 import numpy as np
 import pytest
 
-from support.paths import CONFIG
 from turbseg_ros.evaluation import CONTRIB_BASELINES
 from turbseg_ros.evaluation.baselines import (
     BackgroundSubtraction,
@@ -18,7 +17,6 @@ from turbseg_ros.evaluation.baselines import (
     UnknownBaselineError,
     background_subtractions,
     baselines,
-    config_path,
 )
 from turbseg_ros.evaluation.labels import result_from_labels
 from turbseg_ros.evaluation.metrics import jaccard
@@ -245,15 +243,3 @@ def test_a_method_is_what_its_parameters_make_it() -> None:
     assert one == other
     assert hash(one) == hash(other)
     assert one != TurbsegMethod("one", Parameters.from_mapping({"flow.interval": 2}))
-
-
-def test_configuration_is_found_in_the_source_tree_and_as_installed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    assert config_path("turbseg.rviz") == CONFIG / "turbseg.rviz"
-    installed = tmp_path / "share" / "turbseg_ros" / "config" / "own.yaml"
-    installed.parent.mkdir(parents=True)
-    installed.touch()
-    monkeypatch.setenv("AMENT_PREFIX_PATH", f"/nowhere:{tmp_path}")
-    assert config_path("own.yaml") == installed
-    assert config_path("missing.yaml").parent.name == "config"

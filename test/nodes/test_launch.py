@@ -79,27 +79,47 @@ def test_layouts_show_what_a_node_publishes_and_say_what_result_bags_lack(layout
     assert {"/turbseg/mask", "/turbseg/centroids"} <= set().union(*shown.values()) & replayed
 
 
-def launched_node(path, monkeypatch):
+class StandIn:
+    """A launch argument's value, as the stand-ins for the launch packages have it."""
+
+    def __init__(self, value):
+        self.value = value
+
+    def perform(self, _context):
+        return self.value
+
+    def __eq__(self, other):
+        return self.value == other
+
+    def __hash__(self):
+        return hash(self.value)
+
+
+def launched_node(path, monkeypatch, **arguments):
     """Return what a launch file starts, from stand-ins for the launch packages."""
     started: list[dict[str, object]] = []
     defaults: dict[str, object] = {}
 
     def declare(name, default_value="", description=""):
-        defaults[name] = default_value
+        if isinstance(default_value, list):
+            default_value = "".join(getattr(part, "value", part) for part in default_value)
+        defaults[name] = arguments.get(name, default_value)
 
     launch, ros = types.ModuleType("launch"), types.ModuleType("launch_ros")
     modules = {
         "launch": launch,
-        "launch.actions": types.SimpleNamespace(DeclareLaunchArgument=declare),
+        "launch.actions": types.SimpleNamespace(
+            DeclareLaunchArgument=declare, OpaqueFunction=lambda function: function(None)
+        ),
         "launch.substitutions": types.SimpleNamespace(
-            LaunchConfiguration=lambda name: defaults[name],
-            PathJoinSubstitution="/".join,
+            LaunchConfiguration=lambda name: StandIn(defaults[name])
         ),
         "launch_ros": ros,
         "launch_ros.actions": types.SimpleNamespace(Node=lambda **given: started.append(given)),
         "launch_ros.substitutions": types.SimpleNamespace(FindPackageShare=str),
     }
     launch.__dict__["LaunchDescription"] = list
+    launch.__dict__["LaunchContext"] = object
     for name, module in modules.items():
         monkeypatch.setitem(sys.modules, name, module)
     content: dict[str, Any] = {}
@@ -114,6 +134,23 @@ def test_the_launch_file_remaps_no_camera_info_by_default(monkeypatch):
     # A name remapped to itself leaves it to the node, which looks beside the image topic.
     assert ("camera_info", "camera_info") in node["remappings"]
     assert {name for name, _ in node["remappings"]} == {"image_raw", "camera_info"}
+
+
+def test_the_launch_file_takes_a_preset_by_name_and_sets_what_is_given(monkeypatch):
+    path = ROOT / "launch" / "turbseg.launch.py"
+    live, others = launched_node(path, monkeypatch)["parameters"]
+    assert live == "turbseg_ros/config/live.yaml"
+    assert others == {"use_sim_time": "false"}
+    node = launched_node(
+        path, monkeypatch, preset="severe", transport="compressed", regions="/r.yaml"
+    )
+    severe, others = node["parameters"]
+    assert severe == "turbseg_ros/config/severe.yaml"
+    assert others.keys() == {"use_sim_time", "image_transport", "regions.file"}
+    assert (others["image_transport"], others["regions.file"]) == ("compressed", "/r.yaml")
+    assert node["ros_arguments"] == ["--log-level", "info"]
+    own = launched_node(path, monkeypatch, params_file="/own.yaml")
+    assert own["parameters"][0] == "/own.yaml"
 
 
 def test_fast_dds_takes_the_profile_for_large_images(tmp_path):

@@ -1,3 +1,4 @@
+# PYTHON_ARGCOMPLETE_OK
 """Starts the executables: as `turbseg_NAME`, or by `python -m turbseg_ros.cli NAME`.
 
 Their modules take a second or two to load. A Ctrl-C meanwhile just ends the process, for there is
@@ -7,12 +8,25 @@ command line alone, such as `--help`, is answered before, and so without what th
 
 from __future__ import annotations
 
+import contextlib
 import importlib
+import os
 import signal
 import sys
+from argparse import ArgumentParser
 from collections.abc import Callable
 
 _ABOUT_ITSELF = ("-h", "--help", "--version")
+
+
+# Set by a shell in which completion by argcomplete is registered.
+_COMPLETES = "_ARGCOMPLETE"
+
+
+def _complete(parser: ArgumentParser) -> None:
+    """Answer the shell's question how the command line may go on, and end."""
+    with contextlib.suppress(ImportError):
+        importlib.import_module("argcomplete").autocomplete(parser)
 
 
 def _starter(module: str) -> Callable[[], int]:
@@ -20,6 +34,8 @@ def _starter(module: str) -> Callable[[], int]:
         # Python's own handler would end in a traceback.
         signal.signal(signal.SIGINT, signal.SIG_DFL)
         parser = importlib.import_module(f"turbseg_ros.cli.parsers.{module}").build_parser()
+        if _COMPLETES in os.environ:
+            _complete(parser)
         asked = [argument for argument in sys.argv[1:] if argument in _ABOUT_ITSELF]
         if asked:
             parser.parse_args(asked)

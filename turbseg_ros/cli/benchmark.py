@@ -28,7 +28,6 @@ from turbseg_ros.evaluation.baselines import (
     TurbsegMethod,
     UnknownBaselineError,
     background_subtractions,
-    config_path,
 )
 from turbseg_ros.evaluation.benchmark import (
     Footprint,
@@ -39,6 +38,7 @@ from turbseg_ros.evaluation.benchmark import (
 )
 from turbseg_ros.parameter_file import load_parameters
 from turbseg_ros.parameters import Parameters
+from turbseg_ros.presets import preset_path
 from turbseg_ros.simulation.objects import Path as ObjectPath
 from turbseg_ros.simulation.objects import SceneObject
 from turbseg_ros.simulation.render import render
@@ -114,7 +114,7 @@ def _methods(baselines: Sequence[str], parameters: Parameters) -> list[Method]:
     methods: list[Method] = [TurbsegMethod(_METHOD, parameters)]
     for name in baselines:
         if name == "paper":
-            paper = load_parameters(config_path("paper.yaml"))
+            paper = load_parameters(preset_path("paper"))
             methods.append(TurbsegMethod(name, paper.replace({"tracking.mode": "kalman"})))
         else:
             try:

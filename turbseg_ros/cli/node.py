@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from turbseg_ros.cli.errors import UsageError, executable
 from turbseg_ros.cli.memory import keep_large_buffers
 from turbseg_ros.cli.parsers.node import build_parser
+from turbseg_ros.presets import preset_path
 
 if TYPE_CHECKING:
     from rclpy.executors import Executor
@@ -34,7 +35,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     command = sys.argv if arguments is None else [sys.argv[0], *arguments]
     try:
-        build_parser().parse_args(remove_ros_args(command)[1:])
+        options = build_parser().parse_args(remove_ros_args(command)[1:])
+        if options.preset is not None:
+            # Ahead of what else is given, which goes before it.
+            preset = ["--ros-args", "--params-file", str(preset_path(options.preset)), "--"]
+            command = [command[0], *preset, *command[1:]]
         rclpy.init(args=command, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:
         raise UsageError(str(error)) from error

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from turbseg_ros import __version__
 from turbseg_ros.bag.section import Section
 from turbseg_ros.parameters import Declaration, ParameterError, Parameters, declarations
+from turbseg_ros.presets import preset_path
 
 if TYPE_CHECKING:
     from turbseg_ros.bag.frames import BagFrames
@@ -35,10 +36,14 @@ def command_parser(
 
 
 def add_parameter_options(parser: argparse.ArgumentParser) -> None:
-    """Add `--params-file`, `--node` and `-p`, and list the parameters below the help text."""
+    """Add `--preset`, `--params-file`, `--node` and `-p`; list the parameters below the help."""
     group = parser.add_argument_group("parameters")
+    add_preset_option(group)
     group.add_argument(
-        "--params-file", type=Path, metavar="YAML", help="ROS 2 parameter file of the node"
+        "--params-file",
+        type=Path,
+        metavar="YAML",
+        help="ROS 2 parameter file of the node, after the preset",
     )
     group.add_argument(
         "--node",
@@ -56,7 +61,19 @@ def add_parameter_options(parser: argparse.ArgumentParser) -> None:
         help="set one parameter, after the file; may be repeated",
     )
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.epilog = "\n".join(["parameter names:", *map(_described, declarations())])
+    parser.epilog = parameter_names()
+
+
+def add_preset_option(group: argparse._ActionsContainer) -> None:
+    """Add `--preset`."""
+    group.add_argument(
+        "--preset", metavar="NAME", help="a parameter file of the package's config folder: severe"
+    )
+
+
+def parameter_names() -> str:
+    """Return all parameters, with what they are, for the end of a help text."""
+    return "\n".join(["parameter names:", *map(_described, declarations())])
 
 
 def add_section_options(parser: argparse.ArgumentParser) -> None:
@@ -101,10 +118,14 @@ def parameters_from(options: argparse.Namespace) -> Parameters:
     :raises ParameterError: when the file or an override is refused.
     """
     parameters = Parameters()
+    if options.preset is not None:
+        from turbseg_ros.parameter_file import load_parameters
+
+        parameters = load_parameters(preset_path(options.preset))
     if options.params_file is not None:
         from turbseg_ros.parameter_file import load_parameters
 
-        parameters = load_parameters(options.params_file, options.node)
+        parameters = load_parameters(options.params_file, options.node, parameters)
     overrides = dict(parsed_override(override) for override in options.overrides)
     parameters = parameters.replace(overrides)
     idle = parameters.idle(replayed=True)

@@ -9,11 +9,8 @@ paper's among them; segmenters of one's own, and masks that others found.
 from __future__ import annotations
 
 import difflib
-import os
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import ClassVar, Protocol
 
 import cv2
@@ -26,6 +23,7 @@ from turbseg_ros.evaluation.recorded_masks import RecordedMasks
 from turbseg_ros.factory import clip_segmenter, loaded_class
 from turbseg_ros.parameter_file import load_parameters
 from turbseg_ros.parameters import ParameterError, Parameters
+from turbseg_ros.presets import preset_path
 from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResult, Segmenter
 from turbseg_ros.segmentation.registration import align, register, visible
 from turbseg_ros.segmentation.tone import ToneMap
@@ -174,7 +172,7 @@ def baselines(names: Sequence[str], parameters: Parameters | None = None) -> tup
             loaded_class("baseline", name)
             methods.append(OwnSegmenter(name, parameters or Parameters()))
         elif name == "paper":
-            methods.append(TurbsegMethod(name, load_parameters(config_path("paper.yaml"))))
+            methods.append(TurbsegMethod(name, load_parameters(preset_path("paper"))))
         else:
             methods += background_subtractions(name)
     return tuple(methods)
@@ -197,17 +195,6 @@ def background_subtractions(name: str) -> list[BackgroundSubtraction]:
             f"that has them, in its place: {how_to_install('cv2.bgsegm')}"
         )
     return [BackgroundSubtraction(name, stabilised) for stabilised in (False, True)]
-
-
-def config_path(name: str) -> Path:
-    """Find a file of the package's `config` folder: in the source tree, else as installed.
-
-    A file that is nowhere gets the path it should have in the source tree.
-    """
-    source = Path(__file__).parents[2] / "config" / name
-    prefixes = [*filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(":")), sys.prefix]
-    installed = (Path(prefix, "share/turbseg_ros/config", name) for prefix in prefixes)
-    return next((path for path in (source, *installed) if path.is_file()), source)
 
 
 class ForegroundDetector:
