@@ -22,7 +22,7 @@ WORK = (
     "turbseg_ros.cli.simulate.read_labels",
     "turbseg_ros.cli.import_.find_clip",
     "turbseg_ros.cli.stages.segment",
-    "turbseg_ros.cli.train._examples",
+    "turbseg_ros.cli.train.gathered",
     "turbseg_ros.cli.demo._record_live",
 )
 CALLS = {
