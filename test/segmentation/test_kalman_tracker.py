@@ -277,10 +277,37 @@ def test_what_sways_widely_is_no_object_for_long() -> None:
     assert not any(known[40:])
 
 
+def small_target(x: float, y: float, *numbers: int) -> Detection:
+    return replace(seen(x, y, width=4, height=4), targets=frozenset(numbers))
+
+
 def test_what_was_followed_for_long_becomes_an_object_though_it_hardly_moves() -> None:
-    small = replace(seen(100, 100, width=3, height=3), surely_moves=True)
+    small = small_target(100, 100, 1)
     assert confirmed_at([small] * 8) == CONFIRMATION - 1
-    assert confirmed_at([replace(small, surely_moves=False)] * 8) is None
+    assert confirmed_at([replace(small, targets=frozenset())] * 8) is None
+
+
+@pytest.mark.parametrize(("number", "same"), [(1, True), (2, False)])
+def test_a_small_target_keeps_its_id_wherever_it_was_followed_to(number: int, same: bool) -> None:
+    tracker = tracker_of()
+    for _ in range(8):
+        before = only(update(tracker, [small_target(100, 100, 1)])).track
+    wait(tracker, 3)
+    there = only(update(tracker, [small_target(140, 120, number)])).track
+    assert before.confirmed
+    assert (there is before) == same
+
+
+@pytest.mark.parametrize(
+    ("width", "moving", "taken"), [(4, False, 1), (12, False, 0), (5, True, 1)]
+)
+def test_noise_does_not_stand_for_a_small_target(width: int, moving: bool, taken: int) -> None:
+    tracker = tracker_of()
+    for _ in range(8):
+        known = only(update(tracker, [small_target(100, 100, 1)])).track
+    outline = replace(seen(100, 100, width=width, height=width), moving=moving)
+    found = update(tracker, [outline])
+    assert sum(observation.track is known for observation in found) == taken
 
 
 def test_what_stands_still_never_becomes_an_object() -> None:

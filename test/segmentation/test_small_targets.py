@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+from turbseg_ros.segmentation.camera_state import CameraState
 from turbseg_ros.segmentation.cropped_mask import CroppedMask
 from turbseg_ros.segmentation.geometry import translation
 from turbseg_ros.segmentation.resolution import Resolution
@@ -120,6 +121,54 @@ def test_what_is_burnt_in_does_not_move_while_the_camera_does() -> None:
     assert tracks.moving_at(0) == []
 
 
+def panning(target: Place, vouching: list[tuple[float, float]], fixed: bool) -> TargetTracks:
+    """Return tracks of a target beside others, which the picture or else the scene holds fast."""
+    tracks = TargetTracks()
+    for index in range(40):
+        shift = 0.0 if fixed else -0.5 * index
+        others = [(x + shift, y) for x, y in vouching]
+        seen = picture([*others, target(index)], index, contrast=15.0)
+        tracks.take(blobs_in(seen), translation(-0.5, 0.0))
+    return tracks
+
+
+@pytest.mark.parametrize(("fixed", "count"), [(True, 0), (False, 1)])
+def test_what_is_burnt_in_does_not_vouch_for_a_scene(fixed: bool, count: int) -> None:
+    # Registration errs, and the target is what stands still.
+    tracks = panning(straight(0.3), LAMPS, fixed)
+    assert len(tracks.moving_at(0)) == count
+
+
+def test_the_parts_of_one_large_thing_have_one_say() -> None:
+    tracks = TargetTracks()
+    parts = [(75.0, 20.0), (90.0, 20.0), (75.0, 32.0), (90.0, 34.0)]
+    for index in range(60):
+        moved = [(x + 0.8 * index, y) for x, y in parts]
+        tracks.take(blobs_in(picture([*moved, *LAMPS[:1], START], index)), np.eye(3))
+    at = [found.place for found in tracks.moving_at(0)]
+    assert not any(np.hypot(x - START[0], y - START[1]) < 5.0 for x, y in at)
+
+
+@pytest.mark.parametrize(
+    ("state", "found"),
+    [(CameraState.STILL, 1), (CameraState.LOST, 0), (CameraState.SLEWING, 0)],
+)
+def test_alone_in_the_sky_a_target_is_believed_while_the_camera_is_known(
+    state: CameraState, found: int
+) -> None:
+    tracks = TargetTracks()
+    for index in range(40):
+        seen = picture([straight(1.0)(index)], index)
+        tracks.take(blobs_in(seen), np.eye(3), state)
+    assert len(tracks.moving_at(0)) == found
+
+
+def test_a_target_has_the_same_number_in_all_its_frames() -> None:
+    tracks = followed(straight(0.5), 60, LAMPS)
+    numbers = {found.number for age in range(60) for found in tracks.moving_at(age)}
+    assert len(numbers) == 1
+
+
 def test_it_is_known_where_a_target_was_before_it_was_known_to_move() -> None:
     tracks = followed(straight(0.5), 60, LAMPS)
     (then,) = tracks.moving_at(50)
@@ -133,30 +182,30 @@ def test_what_lies_in_burnt_in_cells_is_not_followed() -> None:
     tracks = TargetTracks()
     for index in range(30):
         seen = picture([*LAMPS[:4], straight(1.0)(index)], index)
-        tracks.take(blobs_in(seen), np.eye(3), overlay)
+        tracks.take(blobs_in(seen), np.eye(3), overlay=overlay)
     assert tracks.moving_at(0) == []
 
 
 def test_a_target_becomes_a_detection_of_its_size() -> None:
     image = picture([START], 1)[..., None]
-    target = SmallTarget(START, (0.5, 0.0), 20.0)
+    target = SmallTarget(START, (0.5, 0.0), 20.0, 7)
     (found,) = with_targets([], [target], image, RESOLUTION)
-    assert found.surely_moves and found.moving
+    assert found.targets == {7} and found.moving
     assert 9 <= found.area <= 40
     np.testing.assert_allclose(found.centroid, START, atol=0.7)
 
 
-@pytest.mark.parametrize(("side", "sure"), [(8, True), (80, False)])
-def test_an_outline_that_shows_the_target_stands_for_it(side: int, sure: bool) -> None:
+@pytest.mark.parametrize(("side", "shown"), [(8, {7}), (80, set())])
+def test_an_outline_that_shows_the_target_stands_for_it(side: int, shown: set[int]) -> None:
     image = picture([START], 1)[..., None]
     mask = np.zeros(SHAPE, np.uint8)
     cv2.rectangle(mask, (36, 36), (36 + side, 36 + side), 1, cv2.FILLED)
     outline = CroppedMask.of(mask > 0)
     outlined = Detection(outline.box, outline.mask, (0.5, 0.0), moving=True)
-    target = SmallTarget(START, (0.5, 0.0), 20.0)
+    target = SmallTarget(START, (0.5, 0.0), 20.0, 7)
     (found,) = with_targets([outlined], [target], image, RESOLUTION)
     assert found.area == outlined.area
-    assert found.surely_moves == sure
+    assert found.targets == shown
 
 
 def test_nothing_is_followed_in_a_frame_without_blobs() -> None:

@@ -22,6 +22,11 @@ from turbseg_ros.segmentation.track import (
 )
 
 _UNMATCHABLE = 1e6
+# Cost of a detection that shows what the track is known to: less than any other.
+_SAME_TARGET = -10.0
+# Area in detail pixels below which an outline that noise may make is told from an object by its
+# shape only.
+_SMALL = 200
 # How far a centroid may stray from its prediction, in diagonals of the object.
 _REACH = 0.6
 # Share of a detection that must lie where an object is expected for it to be a part of it.
@@ -362,12 +367,23 @@ def _flickers(track: Track, tilt: float) -> bool:
     return jitter(track.sightings, tilt) > _FLICKER * max(tilt, _MIN_TILT)
 
 
+def _may_be_noise(track: Track, detection: Detection) -> bool:
+    """Whether an outline where a small target should be shows nothing of what that is known by."""
+    if not track.targets or detection.targets or detection.moving or track.detection.area > _SMALL:
+        return False
+    return track.shape_iou(detection) < _MIN_SHAPE_IOU
+
+
 def _has_claim(expected: CroppedMask, detection: Detection) -> bool:
     common = np.count_nonzero(expected.within(detection.box) & detection.mask)
     return bool(common > _CLAIM * min(expected.area, detection.area))
 
 
 def _cost(track: Track, detection: Detection, tilt: float) -> float:
+    if track.targets & detection.targets:
+        return _SAME_TARGET
+    if _may_be_noise(track, detection):
+        return _UNMATCHABLE
     height, width = track.detection.box.shape
     other_height, other_width = detection.box.shape
     diagonal = max(float(np.hypot(height, width)), float(np.hypot(other_height, other_width)))

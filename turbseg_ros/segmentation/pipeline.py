@@ -84,10 +84,10 @@ class Pipeline:
             self.window, resolution, strategies.outlines, observer, parameters.looks_at_past
         )
 
-    def append(self, prepared: PreparedFrame) -> None:
+    def append(self, frame: PreparedFrame) -> None:
         """Take the next frame into the window, and follow what stands out in it."""
-        self.window.append(prepared)
-        self._targets.take(prepared.blobs, prepared.from_previous, self._overlay)
+        self.window.append(frame)
+        self._targets.take(frame.blobs, frame.from_previous, frame.camera.state, self._overlay)
 
     def segment_frame(self, index: int, frame: Frame, load: Load) -> PendingResult:
         """Segment the next frame of the window."""

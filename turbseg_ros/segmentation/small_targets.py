@@ -17,20 +17,21 @@ import numpy as np
 import numpy.typing as npt
 
 from turbseg_ros.arrays import ByteImage, Mask, Matrix
+from turbseg_ros.segmentation.camera_state import CameraState
 from turbseg_ros.segmentation.clutter import CELL
 from turbseg_ros.segmentation.cropped_mask import Box, CroppedMask
 from turbseg_ros.segmentation.resolution import Resolution
-from turbseg_ros.segmentation.significance import chance_per_test, jitter, significant_way
+from turbseg_ros.segmentation.target_motion import FollowedTargets, have_moved, parts_of
 from turbseg_ros.segmentation.track import Detection
 
 Points = npt.NDArray[np.float64]
 Levels = npt.NDArray[np.uint16]
 Numbers = npt.NDArray[np.float64]
+Counts = npt.NDArray[np.int64]
 
 # A target stands out from all of a ring round it: radius of the ring, points on it and side of
-# the mean that is compared, in pixels; of the larger ring at half of the resolution.
+# the mean that is compared, in pixels. What is larger is for flow to find.
 _RING, _RING_POINTS, _SMALL = 5, 8, 3
-_COARSE_POINTS = 12
 # By so many times what pixels differ from their neighbours nearby, and so many of them a frame.
 _STANDS_OUT, _MOST = 2.5, 24
 # Side in pixels of the cells that what is usual is told for, and of the square of cells nearby.
@@ -55,25 +56,8 @@ _FEW, _SURE = 4, 8
 _PATIENCE = (2, 6)
 # Contrasts of one target differ by no more than this factor.
 _ALIKE = 2.5
-# Least way in pixels, the same where too little else is there to compare with, and then how much
-# of a pixel a frame registration may drift.
-_LEAST_WAY, _LEAST_WAY_ALONE, _DRIFT = 2.0, 3.0, 0.015
-# Pixels over its strength by which the place of what is faint wanders with what lies behind it.
-_WIDTH = 3.5
-# Others that a way is compared with, the nearest, the fewest that tell something, and the share of
-# them that it must be significant against.
-_OTHERS, _FEWEST, _SHARE = 8, 3, 0.75
-# Share of the frames that it must be seen in, and side of the parts of the picture that tell
-# whether most of it moves.
-_SEEN, _PART = 0.6, 72
-# Pixels over which what stands still must be spread to be the scene.
-_SPREAD = 80
-# Least way over the way walked, and least jitter in the picture as it came: less is burnt in.
-_STRAIGHT, _BURNT_IN = 0.4, 0.25
-# Once it moves, a target does until its way falls below this share of what was wanted.
-_STILL_MOVES = 0.7
-# Every so many frames ways are judged; false alarms an hour that are let pass.
-_EVERY, _FALSE_ALARMS_PER_HOUR = 4, 1.0
+# Every so many frames ways are judged.
+_EVERY = 4
 # Square, in detail pixels, in which an outline is drawn, and its share of the contrast.
 _CROP, _EDGE = 14, 0.4
 # Area in detail pixels below which an outline is widened by a pixel.
@@ -102,12 +86,14 @@ NO_BLOBS = Blobs(np.zeros((0, 2)), np.zeros(0), np.zeros(0))
 class SmallTarget:
     """A target that has surely moved, in one frame.
 
-    Place (x, y) and velocity, against the scene, are in pixels (a frame) at processing resolution.
+    Place (x, y) and velocity, against the scene, are in pixels (a frame) at processing resolution;
+    `number` is the same in all its frames.
     """
 
     place: tuple[float, float]
     velocity: tuple[float, float]
     contrast: float
+    number: int
 
 
 def blobs_in(grey: ByteImage) -> Blobs:
@@ -118,10 +104,7 @@ def blobs_in(grey: ByteImage) -> Blobs:
     # Grey values in sixteenths, for means of small squares are no whole numbers.
     values = cv2.multiply(grey, float(_FRACTIONS), dtype=cv2.CV_16U)
     mean = cv2.blur(values, (_SMALL, _SMALL))
-    size = _standing_out(mean, _FINE_RING)
-    half = cv2.resize(mean, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-    coarse = _standing_out(half, _COARSE_RING)
-    size = cv2.max(size, cv2.resize(coarse, grey.shape[::-1], interpolation=cv2.INTER_LINEAR))
+    size = _standing_out(mean, _AROUND)
     least = _STANDS_OUT * _ROUNDING * _FRACTIONS
     peaks = cv2.compare(size, cv2.dilate(size, _APART), cv2.CMP_GE)
     peaks &= cv2.compare(size, least, cv2.CMP_GT)
@@ -156,7 +139,7 @@ def _ring(radius: int, points: int) -> npt.NDArray[np.uint8]:
     return ring
 
 
-_FINE_RING, _COARSE_RING = _ring(_RING, _RING_POINTS), _ring(_RING, _COARSE_POINTS)
+_AROUND = _ring(_RING, _RING_POINTS)
 
 
 def _standing_out(values: Levels, ring: npt.NDArray[np.uint8]) -> Levels:
@@ -192,7 +175,8 @@ class TargetTracks:
     """Follows what stands out, and tells what of it has surely moved."""
 
     def __init__(self) -> None:
-        # Places of N tracks in the newest frame's coordinates, and as they came; NaN: not seen.
+        # Places of N tracks in the newest frame's coordinates, from where each was first seen to
+        # where it is, and before that NaN; and as they came, NaN where it was not seen.
         self._ways: Points = np.zeros((0, _MEMORY, 2))
         self._raw: Points = np.zeros((0, _MEMORY, 2))
         # Where each is expected in the newest frame, its velocity and its contrast.
@@ -200,18 +184,30 @@ class TargetTracks:
         self._velocities: Points = np.zeros((0, 2))
         self._contrasts: Numbers = np.zeros(0)
         self._strengths: Numbers = np.zeros(0)
-        self._hits: npt.NDArray[np.int64] = np.zeros(0, np.int64)
-        self._misses: npt.NDArray[np.int64] = np.zeros(0, np.int64)
+        self._hits: Counts = np.zeros(0, np.int64)
+        self._misses: Counts = np.zeros(0, np.int64)
         self._moves: Mask = np.zeros(0, bool)
+        self._numbers: Counts = np.zeros(0, np.int64)
+        self._begun = 0
         self._count = 0
+        # Frames since the camera's motion was not known.
+        self._since_lost = 0
 
-    def take(self, blobs: Blobs, ego_motion: Matrix, overlay: Mask | None = None) -> None:
+    def take(
+        self,
+        blobs: Blobs,
+        ego_motion: Matrix,
+        state: CameraState = CameraState.STILL,
+        overlay: Mask | None = None,
+    ) -> None:
         """Take what stands out in the next frame.
 
         :param ego_motion: takes processing pixels of the frame before to this one's.
+        :param state: what the camera does in it.
         :param overlay: hxw cells that are no scene; None where none are known.
         """
         self._count += 1
+        self._since_lost = 0 if state is CameraState.LOST else self._since_lost + 1
         self._propagate(ego_motion)
         blobs = _in_scene(blobs, overlay)
         taken = self._match(blobs)
@@ -221,7 +217,7 @@ class TargetTracks:
         if not kept.all():
             self._keep(kept)
         self._begin(blobs, ~taken)
-        if self._count % _EVERY == 0:
+        if self._count % _EVERY == 0 and state is not CameraState.SLEWING:
             self._judge()
 
     def moving_at(self, age: int) -> list[SmallTarget]:
@@ -235,18 +231,20 @@ class TargetTracks:
                 (float(places[k, 0]), float(places[k, 1])),
                 (float(self._velocities[k, 0]), float(self._velocities[k, 1])),
                 float(self._contrasts[k]),
+                int(self._numbers[k]),
             )
             for k in np.nonzero(seen)[0]
         ]
 
     def _propagate(self, ego_motion: Matrix) -> None:
         linear, shift = ego_motion[:2, :2].T, ego_motion[:2, 2]
-        unseen = np.full((len(self._ways), 1, 2), np.nan)
-        self._ways = np.concatenate([self._ways[:, 1:] @ linear + shift, unseen], axis=1)
-        self._raw = np.concatenate([self._raw[:, 1:], unseen], axis=1)
         self._velocities = self._velocities @ linear
         self._places = self._places @ linear + shift + self._velocities
-        self._misses = self._misses + 1
+        self._ways[:, :-1] = self._ways[:, 1:] @ linear + shift
+        self._ways[:, -1] = self._places
+        self._raw[:, :-1] = self._raw[:, 1:]
+        self._raw[:, -1] = np.nan
+        self._misses += 1
 
     def _match(self, blobs: Blobs) -> Mask:
         """Give tracks what is next to where they are expected; return which blobs were given."""
@@ -282,7 +280,7 @@ class TargetTracks:
     def _estimate(self) -> None:
         """Fit a line to the recent places of those just seen: their velocity and place."""
         recent = self._ways[:, -_RECENT:]
-        seen = ~np.isnan(recent[..., 0])
+        seen = ~np.isnan(self._raw[:, -_RECENT:, 0])
         count = np.maximum(seen.sum(axis=1), 1)
         age = np.arange(1 - _RECENT, 1)
         mean_age = (seen * age).sum(axis=1) / count
@@ -303,7 +301,7 @@ class TargetTracks:
         self._ways, self._raw = self._ways[kept], self._raw[kept]
         self._places, self._velocities = self._places[kept], self._velocities[kept]
         self._contrasts, self._strengths = self._contrasts[kept], self._strengths[kept]
-        self._moves = self._moves[kept]
+        self._moves, self._numbers = self._moves[kept], self._numbers[kept]
         self._hits, self._misses = self._hits[kept], self._misses[kept]
 
     def _begin(self, blobs: Blobs, free: Mask) -> None:
@@ -317,6 +315,8 @@ class TargetTracks:
             return
         way = np.full((count, _MEMORY, 2), np.nan)
         way[:, -1] = points
+        numbers = np.arange(self._begun + 1, self._begun + count + 1)
+        self._begun += count
         self._ways = np.concatenate([self._ways, way])
         self._raw = np.concatenate([self._raw, way])
         self._places = np.concatenate([self._places, points])
@@ -326,130 +326,25 @@ class TargetTracks:
         self._hits = np.concatenate([self._hits, np.ones(count, np.int64)])
         self._misses = np.concatenate([self._misses, np.zeros(count, np.int64)])
         self._moves = np.concatenate([self._moves, np.zeros(count, bool)])
+        self._numbers = np.concatenate([self._numbers, numbers])
 
     def _judge(self) -> None:
         """Tell which tracks have surely moved."""
         known = np.nonzero(self._hits >= _SURE)[0]
-        if not len(known):
-            return
-        seen = ~np.isnan(self._ways[known, :, 0])
-        first = seen.argmax(axis=1)
-        come = self._places[known] - self._ways[known, first]
-        drift = _scatter(come[~self._moves[known]])
-        # Most stand still, and those need no closer look.
-        apart = np.linalg.norm(come - np.median(come, axis=0), axis=1)
-        far = (apart > _LEAST_WAY / 2.0) | (np.linalg.norm(come, axis=1) > _LEAST_WAY / 2.0)
-        moves = np.zeros(len(self._hits), bool)
-        still = self._places[known[apart < 2.0 * _LEAST_WAY]]
-        if len(known) > _FEWEST and not (len(still) and np.ptp(still, axis=0).max() > _SPREAD):
-            # Registration may hang on one thing, and the scene be what moves.
-            far = np.zeros_like(far)
-        for number in np.nonzero(far)[0].tolist():
-            moves[known[number]] = self._has_moved(known, number, seen[number], first, drift)
-        self._moves = moves
-        # Where most of what stands out moves, it is the scene, and the camera is known badly.
-        if moves.any() and self._places_of(moves) > max(self._places_of(_at(known, ~moves)), 1):
-            self._moves = np.zeros_like(moves)
-
-    def _places_of(self, which: Mask) -> int:
-        """Count the parts of the picture that some tracks are in: a large thing is in one."""
-        return len(np.unique(self._places[which] // _PART, axis=0))
-
-    def _has_moved(
-        self,
-        known: npt.NDArray[np.intp],
-        number: int,
-        seen: Mask,
-        first: npt.NDArray[np.intp],
-        drift: float,
-    ) -> bool:
-        """Whether a track has come further than chance and what is near it would take it.
-
-        :param known: tracks seen for long enough; `number` says which of them it is, `first` when
-            each was seen first.
-        :param seen: when it was seen.
-        :param drift: standard deviation an axis of the ways of all that stand still.
-        """
-        k, frames = known[number], _MEMORY - int(first[number])
-        way = self._ways[k][seen]
-        if len(way) < _SEEN * frames or not self._trembles(k, seen) or not _straight(way):
-            return False
-        others = self._nearest(known, number, first, frames)
-        alone = len(others) < _FEWEST
-        # Ends are means of a few places; drift is that of a way, which has two.
-        wander = _DRIFT * frames if alone else drift
-        faint = _WIDTH / self._strengths[k]
-        own = np.linalg.norm([jitter(list(way), 0.0) / 2.0, wander / np.sqrt(2.0), faint])
-        chance = chance_per_test(_FALSE_ALARMS_PER_HOUR, _EVERY, _MOST)
-        wanted = significant_way(float(own), 0.0, frames, _EVERY, chance)
-        wanted = max(wanted, _LEAST_WAY_ALONE if alone else _LEAST_WAY)
-        wanted *= _STILL_MOVES if self._moves[k] else 1.0
-        if alone:
-            return bool(np.hypot(*_net(way)) > wanted)
-        relative = self._relative_ways(known, number, others, first)
-        return bool(np.mean(relative > wanted) >= _SHARE)
-
-    def _trembles(self, k: int, seen: Mask) -> bool:
-        """Whether a track is not fixed to the picture itself, as what is burnt in."""
-        return bool(self._raw[k][seen].std(axis=0).max() > _BURNT_IN)
-
-    def _nearest(
-        self, known: npt.NDArray[np.intp], number: int, first: npt.NDArray[np.intp], frames: int
-    ) -> npt.NDArray[np.intp]:
-        """Return the numbers of the nearest other tracks that were there for half as long."""
-        there = (_MEMORY - first) >= 0.5 * frames
-        there[number] = False
-        others = np.nonzero(there)[0]
-        distance = np.linalg.norm(
-            self._places[known[others]] - self._places[known[number]], axis=1
+        followed = FollowedTargets(
+            self._ways[known],
+            self._raw[known],
+            self._places[known],
+            self._strengths[known],
+            self._moves[known],
         )
-        return others[np.argsort(distance)[:_OTHERS]]
-
-    def _relative_ways(
-        self,
-        known: npt.NDArray[np.intp],
-        number: int,
-        others: npt.NDArray[np.intp],
-        first: npt.NDArray[np.intp],
-    ) -> Numbers:
-        """Return how far a track has come from each of some others, since both were seen."""
-        ways = []
-        for other in others:
-            since = max(int(first[number]), int(first[other]))
-            here, there = (_net(_seen(self._ways[known[n], since:])) for n in (number, other))
-            ways.append(float(np.hypot(*(here - there))))
-        return np.array(ways)
-
-
-def _at(known: npt.NDArray[np.intp], which: Mask) -> Mask:
-    """Return which tracks are known and among those of a mask."""
-    chosen = np.zeros(len(which), bool)
-    chosen[known] = which[known]
-    return chosen
-
-
-def _seen(way: Points) -> Points:
-    return way[~np.isnan(way[:, 0])]
-
-
-def _net(way: Points) -> Points:
-    """Return the way from the first places to the last ones, (x, y)."""
-    few = min(4, max(len(way) // 3, 1))
-    return np.asarray(way[-few:].mean(axis=0) - way[:few].mean(axis=0))
-
-
-def _straight(way: Points) -> bool:
-    steps = np.linalg.norm(np.diff(way[::_EVERY], axis=0), axis=1).sum()
-    net = float(np.hypot(*_net(way)))
-    return net < _LEAST_WAY or net > _STRAIGHT * float(steps)
-
-
-def _scatter(nets: Points) -> float:
-    """Return the standard deviation an axis of ways that should be alike."""
-    if not len(nets):
-        return 0.0
-    lengths = np.linalg.norm(nets - np.median(nets, axis=0), axis=1)
-    return float(np.median(lengths)) / 1.1774
+        moved = have_moved(followed, _EVERY, _MOST, self._since_lost)
+        # Where most of what stands out moves, it is the scene, and the camera is known badly.
+        places = followed.places
+        if moved.any() and parts_of(places[moved]) > max(parts_of(places[~moved]), 1):
+            moved[:] = False
+        self._moves = np.zeros(len(self._hits), bool)
+        self._moves[known] = moved
 
 
 def _in_scene(blobs: Blobs, overlay: Mask | None) -> Blobs:
@@ -484,7 +379,8 @@ def with_targets(
             continue
         for n in there:
             if result[n].area < _MUCH_LARGER * found.area:
-                result[n] = replace(result[n], moving=True, surely_moves=True)
+                targets_there = result[n].targets | found.targets
+                result[n] = replace(result[n], moving=True, targets=targets_there)
     return result
 
 
@@ -515,5 +411,5 @@ def _detection(target: SmallTarget, image: ByteImage, resolution: Resolution) ->
         mask=outline.mask,
         velocity=(target.velocity[0] * scale_x, target.velocity[1] * scale_y),
         moving=True,
-        surely_moves=True,
+        targets=frozenset([target.number]),
     )

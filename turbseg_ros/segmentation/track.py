@@ -43,8 +43,8 @@ class Detection:
     this frame, or only an outline that stands out where an object is known to be. `clutter` is
     what its place is known to move by without anything being there, in pixels a frame; `cut_off`
     tells whether it reaches the border of what can be seen, `flow_known` whether flow tells its
-    velocity, which else is 0, `surely_moves` whether it was followed
-    for long enough, before it became a detection, to know that it is an object.
+    velocity, which else is 0. `targets` are the numbers of the small targets that it shows, which
+    were followed for long enough to know that it is an object.
     """
 
     box: Box
@@ -53,8 +53,13 @@ class Detection:
     moving: bool
     clutter: float = 0.0
     cut_off: bool = False
-    surely_moves: bool = False
     flow_known: bool = True
+    targets: frozenset[int] = frozenset()
+
+    @property
+    def surely_moves(self) -> bool:
+        """Whether it is known to be an object before it is tracked."""
+        return bool(self.targets)
 
     @property
     def outline(self) -> CroppedMask:
@@ -80,7 +85,8 @@ class Track:
 
     `detection` is what was seen of it last, when its centroid, hidden parts included, was at
     `seen_at`; `portrait` is what it looked like when last seen whole, None until it is an object.
-    `sightings` are its centroids, `clutter` what their places move by, the oldest first.
+    `sightings` are its centroids, `clutter` what their places move by, the oldest first; `targets`
+    the numbers of the small targets that it showed last.
     """
 
     detection: Detection
@@ -99,6 +105,7 @@ class Track:
     sightings: list[Point] = field(default_factory=list)
     clutter: list[float] = field(default_factory=list)
     trail: list[Point] = field(default_factory=list)
+    targets: frozenset[int] = frozenset()
 
     @classmethod
     def started(cls, detection: Detection, tilt: float) -> Track:
@@ -114,6 +121,7 @@ class Track:
             seen_at=centroid,
             sightings=[centroid],
             clutter=[detection.clutter],
+            targets=detection.targets,
         )
 
     @property
@@ -168,10 +176,8 @@ class Track:
 
     def correct(self, detection: Detection) -> None:
         """Take the detection that stands for it in this frame."""
-        common = self.intersection_area(detection)
-        union = self.detection.area + detection.area - common
         # A pixel more or less is much of a target of a few, and says nothing.
-        iou = 1.0 if detection.surely_moves else common / max(union, 1)
+        iou = 1.0 if detection.surely_moves else self.shape_iou(detection)
         self.shape_ious = [*self.shape_ious, iou][-SHAPE_SPAN:]
         if not detection.flow_known:
             self._doubt_velocity(detection.centroid)
@@ -210,6 +216,7 @@ class Track:
 
     def _see(self, detection: Detection, centroid: Point) -> None:
         self.detection, self.seen_at = detection, centroid
+        self.targets = detection.targets or self.targets
         self.sightings = [*self.sightings, centroid][-_TRAIL_LENGTH:]
         self.clutter = [*self.clutter, detection.clutter][-_TRAIL_LENGTH:]
         self.hits += 1
@@ -241,6 +248,11 @@ class Track:
         there = self.detection.mask[common.moved(-expected.x0, -expected.y0).slices]
         here = detection.mask[common.moved(-found.x0, -found.y0).slices]
         return int(np.count_nonzero(there & here))
+
+    def shape_iou(self, detection: Detection) -> float:
+        """Return the IoU of a detection with its mask where that is expected now."""
+        common = self.intersection_area(detection)
+        return common / max(self.detection.area + detection.area - common, 1)
 
     @property
     def certainty(self) -> float:
@@ -364,7 +376,7 @@ def joined(parts: Sequence[Detection]) -> Detection:
         mask=mask,
         moving=any(part.moving for part in parts),
         cut_off=any(part.cut_off for part in parts),
-        surely_moves=any(part.surely_moves for part in parts),
+        targets=frozenset[int]().union(*(part.targets for part in parts)),
     )
 
 
