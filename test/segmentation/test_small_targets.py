@@ -139,16 +139,6 @@ def test_what_is_burnt_in_does_not_vouch_for_a_scene(fixed: bool, count: int) ->
     assert len(tracks.moving_at(0)) == count
 
 
-def test_the_parts_of_one_large_thing_have_one_say() -> None:
-    tracks = TargetTracks()
-    parts = [(75.0, 20.0), (90.0, 20.0), (75.0, 32.0), (90.0, 34.0)]
-    for index in range(60):
-        moved = [(x + 0.8 * index, y) for x, y in parts]
-        tracks.take(blobs_in(picture([*moved, *LAMPS[:1], START], index)), np.eye(3))
-    at = [found.place for found in tracks.moving_at(0)]
-    assert not any(np.hypot(x - START[0], y - START[1]) < 5.0 for x, y in at)
-
-
 @pytest.mark.parametrize(
     ("state", "found"),
     [(CameraState.STILL, 1), (CameraState.LOST, 0), (CameraState.SLEWING, 0)],
