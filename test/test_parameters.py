@@ -215,6 +215,11 @@ def test_a_former_name_is_taken_with_one_warning(
     assert f"{former} is called {FORMER[former]} now" in record.getMessage()
 
 
-def test_a_parameter_that_is_gone_is_answered_with_what_has_taken_its_place() -> None:
-    with pytest.raises(UnknownParameterError, match=r"tracking\.false_alarms_per_hour has taken"):
-        Parameters().replace({"tracking.travel": 2.0})
+def test_a_parameter_that_is_gone_is_left_out_with_one_warning_that_names_its_heir(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("turbseg_ros.parameters._warned_of", set())
+    for _ in range(2):
+        assert Parameters().replace({"tracking.travel": 2.0}) == Parameters()
+    (record,) = caplog.records
+    assert "tracking.false_alarms_per_hour has taken its place" in record.getMessage()

@@ -29,9 +29,10 @@ UsedWhen = Mapping[str, tuple[Value, ...]]
 """Other parameters' names, and the values with all of which a parameter is used."""
 
 _LOGGER = logging.getLogger(__name__)
-# Former names of parameters that were warned about.
+# Names of parameters that were warned about: former ones, and of those that are gone.
 _warned_of: set[str] = set()
-# Parameters that are gone, and what others do in their place.
+# Parameters that are gone, and what others do in their place. Files may set them until the next
+# minor version.
 _REPLACED = {"tracking.travel": "tracking.false_alarms_per_hour"}
 # Names every ROS node has, which are the middleware's business and not ours.
 _MIDDLEWARE_NAMES = ("use_sim_time", "qos_overrides", "start_type_description_service")
@@ -651,12 +652,21 @@ class Parameters:
     def replace(self, values: Mapping[str, object]) -> Parameters:
         """Return a copy with the named values changed, all of them or, on an error, none.
 
+        A parameter that is gone is left out, and warned about once.
+
         :raises ParameterError: for a name that is not declared or a value that is refused.
         """
         known = {declaration.name: declaration for declaration in declarations()}
         changed = self
         for given, value in values.items():
             name = present_name(given)
+            if is_gone(name):
+                _warn_once(
+                    name,
+                    f"parameter {name} is gone, and has no effect: {_REPLACED[name]} "
+                    "has taken its place; with the next minor version it is refused",
+                )
+                continue
             if name not in known:
                 raise UnknownParameterError(f"unknown parameter {name}{_suggestion(name, known)}")
             changed = _with_value(changed, name.split("."), known[name].check(value))
@@ -713,15 +723,24 @@ def present_name(name: str) -> str:
     """Return what a parameter is called now; a name that it had before is warned about, once."""
     for declared in declarations():
         if name in declared.former_names:
-            if name not in _warned_of:
-                _warned_of.add(name)
-                _LOGGER.warning(
-                    "parameter %s is called %s now; the old name goes with the next minor version",
-                    name,
-                    declared.name,
-                )
+            _warn_once(
+                name,
+                f"parameter {name} is called {declared.name} now; the old name goes with the next "
+                "minor version",
+            )
             return declared.name
     return name
+
+
+def is_gone(name: str) -> bool:
+    """Whether a parameter was there in the minor version before, and another does its work now."""
+    return name in _REPLACED
+
+
+def _warn_once(name: str, line: str) -> None:
+    if name not in _warned_of:
+        _warned_of.add(name)
+        _LOGGER.warning("%s", line)
 
 
 def belongs_to_middleware(name: str) -> bool:
@@ -762,8 +781,6 @@ def _with_value(group: Any, path: list[str], value: Value) -> Any:
 
 
 def _suggestion(name: str, known: Mapping[str, Declaration]) -> str:
-    if name in _REPLACED:
-        return f": {_REPLACED[name]} has taken its place"
     # Who mistypes a former name is told the present one.
     present = {former: d.name for d in known.values() for former in d.former_names}
     near = difflib.get_close_matches(name, [*known, *present], n=1)

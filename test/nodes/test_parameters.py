@@ -214,3 +214,9 @@ def test_a_former_name_given_at_start_sets_the_parameter_under_its_present_one(s
     assert handler.current.tracking.max_age == 77
     assert node.get_parameter("tracking.max_age").value == 77
     assert not node.has_parameter("tracking.patience")
+
+
+def test_a_parameter_that_is_gone_is_left_out_of_the_node(start):
+    node, handler, _ = start("-p", "tracking.travel:=2.0")
+    assert handler.current == Parameters()
+    assert not node.has_parameter("tracking.travel")

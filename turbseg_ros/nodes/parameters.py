@@ -21,6 +21,7 @@ from turbseg_ros.parameters import (
     UnknownParameterError,
     belongs_to_middleware,
     declarations,
+    is_gone,
     present_name,
 )
 
@@ -149,6 +150,6 @@ def _given_at_start(node: Node) -> Parameters:
             node.get_logger().warning(f"ignored: {error}")
             node.undeclare_parameter(name)
             continue
-        if present_name(name) != name:
+        if present_name(name) != name or is_gone(name):
             node.undeclare_parameter(name)
     return parameters
