@@ -40,17 +40,17 @@ def seen(id: int, *way: float) -> MovingObject:
     return MovingObject(id, 0, (way[-1], 5.0), (0.0, 0.0), SIDE**2, (0, 0, SIDE, SIDE), trail)
 
 
-def along(places: Iterable[float], patience: int = 3) -> list[tuple[EventKind, int]]:
+def along(places: Iterable[float], max_age: int = 3) -> list[tuple[EventKind, int]]:
     """Return what happens, and in which frame, to an object that is at places along x."""
-    watch, way, told = EventWatch(lambda: patience), list[float](), []
+    watch, way, told = EventWatch(lambda: max_age), list[float](), []
     for number, place in enumerate(places):
         way.append(place)
         told += watch.events(result(number, seen(1, *way)))
     return [(event.kind, event.stamp // PERIOD) for event in told]
 
 
-def kinds(results: Iterable[SegmentationResult], patience: int = 3) -> list[str]:
-    watch = EventWatch(lambda: patience)
+def kinds(results: Iterable[SegmentationResult], max_age: int = 3) -> list[str]:
+    watch = EventWatch(lambda: max_age)
     return [event.kind.value for each in results for event in watch.events(each)]
 
 
@@ -91,9 +91,9 @@ def test_an_object_stops_and_moves_again() -> None:
     assert told[2][1] == pytest.approx(21, abs=1)
 
 
-def test_what_trembles_neither_stops_nor_moves_again_and_again() -> None:
-    trembles = [18.0 + 1.4 * (n % 2) for n in range(40)]
-    told = along([*(2.0 * n for n in range(10)), *trembles])
+def test_what_jitters_neither_stops_nor_moves_again_and_again() -> None:
+    jitters = [18.0 + 1.4 * (n % 2) for n in range(40)]
+    told = along([*(2.0 * n for n in range(10)), *jitters])
     assert [kind for kind, _ in told] == [EventKind.ENTERED, EventKind.STOPPED]
 
 

@@ -72,12 +72,12 @@ def test_takes_a_slow_camera_for_steady():
     for number in range(3):
         monitor.judge(frame(number * 800 * MS), number * 800 * MS)
     assert monitor.judge(frame(2 * 800 * MS + 7900 * MS), 0).action is Action.CONTINUE
-    assert monitor.patience == pytest.approx(8.0)
+    assert monitor.pause_timeout == pytest.approx(8.0)
 
 
 def test_waits_a_second_at_least_for_the_next_frame(monitor):
-    assert StreamMonitor().patience == 1.0
-    assert monitor.patience == 1.0
+    assert StreamMonitor().pause_timeout == 1.0
+    assert monitor.pause_timeout == 1.0
 
 
 def stream(monitor, stamps, arrivals, pictures=None):
@@ -99,7 +99,7 @@ def test_any_rate_is_one_stream(hz, origin):
     assert {verdict.action for verdict in verdicts} == {Action.CONTINUE}
     assert [verdict.frame.stamp for verdict in verdicts] == [origin + time for time in times]
     assert verdicts[-1].frame.period == pytest.approx(1 / hz)
-    assert monitor.patience == pytest.approx(min(max(1.0, 10 / hz), 60.0))
+    assert monitor.pause_timeout == pytest.approx(min(max(1.0, 10 / hz), 60.0))
 
 
 @pytest.mark.parametrize("hz", [0.2, 0.8, 30.0, 240.0])
@@ -174,7 +174,7 @@ def test_a_stream_that_becomes_slow_restarts_a_few_times_only(monitor):
 def test_a_long_pause_does_not_make_the_monitor_patient(monitor):
     later = 25 * PERIOD + 40 * 10**9
     assert monitor.judge(frame(later), later).frame.begins_stream
-    assert monitor.patience == 1.0
+    assert monitor.pause_timeout == 1.0
 
 
 @pytest.mark.parametrize(

@@ -51,7 +51,7 @@ def status(report, **changes):
         "publishers": 1,
         "mismatch": "",
         "reliability": "reliable",
-        "patience": 1.0,
+        "pause_timeout": 1.0,
         "limits": LIMITS,
         "has_time": True,
         "latency_mode": "centred",

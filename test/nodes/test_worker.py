@@ -419,4 +419,4 @@ def test_images_whose_stamps_are_not_set_are_all_answered_and_told_once(harness)
     assert len(harness.answered) == 30
     assert harness.answered[0] == 10**18
     assert len({*harness.answered}) == 30
-    assert sum("stamps say nothing" in line for line in harness.logger.lines) == 1
+    assert sum("stamps are unusable" in line for line in harness.logger.lines) == 1

@@ -33,7 +33,7 @@ _END = object()
 class BagFrames:
     """The frames of a bag's image topic, in the order they were recorded.
 
-    As the node does with what arrives: where stamps say nothing, frames count as taken when they
+    As the node does with what arrives: where stamps are unusable, frames count as taken when they
     were recorded, and one after a jump in time or a long gap begins a new stream. Video packets
     are decoded where PyAV is installed. An image that can't be read as one, comes twice or late is
     warned about, throttled by kind, counted in `skipped` and left out; so are packets that give no

@@ -174,24 +174,24 @@ class McapFile:
 
         Chunks of which all was recorded before `since_ns` are left out.
         """
-        spoilt: list[str] = []
+        damaged: list[str] = []
         for chunk in sorted(self.chunks, key=lambda chunk: (chunk.start_ns, chunk.offset)):
             if chunk.end_ns < since_ns or (chunk.channels and chunk.channels.isdisjoint(wanted)):
                 continue
             try:
                 records = _chunk_content(_read_chunk(stream, chunk.offset, chunk.length))
             except _DAMAGE as error:
-                spoilt.append(f"at byte {chunk.offset}: {_reason(error)}")
+                damaged.append(f"at byte {chunk.offset}: {_reason(error)}")
                 continue
             messages = [record for record in records if isinstance(record, Message)]
             yield chunk.start_ns, [m for m in messages if m.channel_id in wanted]
-        if spoilt:
+        if damaged:
             _LOGGER.warning(
                 "%s: %d of %d chunks are damaged and their messages lost (the first, %s)",
                 self.path,
-                len(spoilt),
+                len(damaged),
                 len(self.chunks),
-                spoilt[0],
+                damaged[0],
             )
 
 
@@ -309,7 +309,7 @@ class _Census:
     end_ns: int = 0
     chunks: list[StoredChunk] = field(default_factory=list)
     # Records that are there but can't be read, and why the first can't.
-    spoilt: int = 0
+    damaged: int = 0
     first_fault: str = ""
 
     def take(self, record: McapRecord) -> None:
@@ -355,7 +355,7 @@ def _recovered(path: Path, stream: BinaryIO, fault: str | None) -> McapFile:
             elif raw.opcode in _PLAIN_RECORDS:
                 census.take(_PLAIN_RECORDS[raw.opcode](raw.content()))
         except _DAMAGE as error:
-            census.spoilt += 1
+            census.damaged += 1
             census.first_fault = census.first_fault or f"at byte {raw.begin}: {_reason(error)}"
         end = raw.end
     lost = 0 if ended else stream.seek(0, io.SEEK_END) - end
@@ -371,8 +371,8 @@ def _recovered(path: Path, stream: BinaryIO, fault: str | None) -> McapFile:
         start_ns=census.start_ns,
         end_ns=census.end_ns,
         chunks=census.chunks,
-        damage=_told(fault, census, lost) if fault or not ended or census.spoilt else None,
-        lossy=bool(not ended or census.spoilt),
+        damage=_told(fault, census, lost) if fault or not ended or census.damaged else None,
+        lossy=bool(not ended or census.damaged),
     )
 
 
@@ -383,8 +383,8 @@ def _told(fault: str | None, census: _Census, lost: int) -> str:
         f"{fault or 'is damaged'}; {found} messages in {where} are read"
         + (f", {lost} bytes behind them are lost" if lost else "")
         + (
-            f", {census.spoilt} damaged records too ({census.first_fault})"
-            if census.spoilt
+            f", {census.damaged} damaged records too ({census.first_fault})"
+            if census.damaged
             else ""
         )
     )

@@ -196,18 +196,18 @@ class BagReader:
             if self._types.get(stream.topic) == stream.type_name
             and (topics is None or stream.topic in topics)
         }
-        spoilt = 0
+        damaged = 0
         with reading(file.path):
             for number, stamp, data in file.read(wanted, first):
                 stream = wanted[number]
                 content = unpacked_message(data) if self._packed_messages else data
                 content = _as_cdr(stream, content)
                 if content is None:
-                    spoilt += 1
+                    damaged += 1
                 else:
                     yield Record(stream.topic, stream.type_name, stamp, content)
-        if spoilt:
-            _LOGGER.warning("%s: %d damaged messages are left out", file.path, spoilt)
+        if damaged:
+            _LOGGER.warning("%s: %d damaged messages are left out", file.path, damaged)
 
 
 def _opened(paths: Sequence[Path]) -> tuple[list[BagFile], list[str]]:

@@ -61,14 +61,14 @@ class ResultWriter:
     output that fails is warned about, throttled, and counted in `failed` under its name; the
     others are written all the same.
 
-    :param patience: frames that an object lives unseen.
+    :param max_age: frames that an object lives unseen.
     :param shown: names of the topics for people that are written, too.
     """
 
-    def __init__(self, bag: BagWriter, patience: int, shown: Collection[str] = ()) -> None:
+    def __init__(self, bag: BagWriter, max_age: int, shown: Collection[str] = ()) -> None:
         self._bag = bag
         wanted = (view for view in views() if view.name in shown)
-        events = EventMessages(EventWatch(lambda: patience))
+        events = EventMessages(EventWatch(lambda: max_age))
         self._outputs = (*outputs(0, CentroidMarkers(), events), *wanted)
         self._slots: dict[int, Output] = {}
         self._diagnostics = ResultDiagnostics(RESULT_NAMESPACE)

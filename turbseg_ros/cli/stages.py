@@ -37,7 +37,7 @@ _TILE_WIDTH = 480
 # M in standard deviations of its noise that is shown at full brightness.
 _BRIGHTEST = 20.0
 # What a place moves by, in the same unit, that is.
-_MOST_RESTLESS = 5.0
+_MAX_CLUTTER = 5.0
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,7 @@ def _clutter(motion: MotionEstimate) -> ByteImage:
     height, width = motion.noise.shape
     clutter = np.zeros((1, 1), np.float32) if motion.clutter is None else motion.clutter
     level = cv2.resize(clutter, (width, height), interpolation=cv2.INTER_NEAREST)
-    return _coloured(level / motion.noise, _MOST_RESTLESS)
+    return _coloured(level / motion.noise, _MAX_CLUTTER)
 
 
 def _regions(stages: Stages) -> ByteImage:

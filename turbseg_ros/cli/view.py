@@ -36,7 +36,7 @@ _STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _ANY_ADDRESS = ("0.0.0.0", "::", "")
 _TOKEN_BYTES = 24
 # Seconds that browsers get to take note of the end.
-_FAREWELL = 1.0
+_SHUTDOWN_TIMEOUT = 1.0
 
 
 @executable("turbseg_view")
@@ -83,7 +83,9 @@ async def _serve(
     token = None if is_local(options.host) else secrets.token_urlsafe(_TOKEN_BYTES)
     port = listener.getsockname()[1]
     server = ViewServer(state, viewer, Access(token), RegionFile(options.regions), port)
-    runner = web.AppRunner(server.application(), access_log=None, shutdown_timeout=_FAREWELL)
+    runner = web.AppRunner(
+        server.application(), access_log=None, shutdown_timeout=_SHUTDOWN_TIMEOUT
+    )
     await runner.setup()
     spinner = _Spinner(executor, on_end=lambda: loop.call_soon_threadsafe(stopped.set))
     try:

@@ -134,7 +134,7 @@ class _TruthScorer:
         if unmatched is None or len(unmatched) != len(self._truth):
             return
         _LOGGER.warning(
-            "%s: stamps say nothing, and times are of another recording: labels and truth are "
+            "%s: stamps are unusable, and times are of another recording: labels and truth are "
             "held together in their order",
             self._bag,
         )

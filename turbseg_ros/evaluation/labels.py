@@ -68,7 +68,7 @@ def read_labels(reader: BagReader, topic: str) -> Iterator[StampedLabels]:
 
 
 class ByStamp(Generic[T]):
-    """What belongs to frames, by their stamps, or by its own time where stamps say nothing."""
+    """What belongs to frames, by their stamps, or by its own time where stamps are unusable."""
 
     def __init__(self) -> None:
         self._by_stamp: dict[int, T] = {}
@@ -104,7 +104,7 @@ class ByStamp(Generic[T]):
     ) -> T | None:
         """Return what belongs to the frame with this stamp, None when there is nothing.
 
-        Where stamps say nothing, or are of different clocks, it is what was recorded with the
+        Where stamps are unusable, or are of different clocks, it is what was recorded with the
         frame.
 
         :param recorded: when the frame was recorded, in nanoseconds.
@@ -155,7 +155,7 @@ class ByStamp(Generic[T]):
 
 
 class LabelsByStamp:
-    """Label images by the stamp of their frame, or by their own time where stamps say nothing.
+    """Label images by the stamp of their frame, or by their own time where stamps are unusable.
 
     They are held compressed, for those of a long high-resolution bag don't fit into memory.
     """

@@ -126,11 +126,11 @@ class EventWatch:
     An object that is hidden for a while neither leaves nor enters anew: it has left, where and
     when it was seen last, once it has not been seen for longer than objects live unseen.
 
-    :param patience: returns for how many frames an object lives unseen.
+    :param max_age: returns for how many frames an object lives unseen.
     """
 
-    def __init__(self, patience: Callable[[], int]) -> None:
-        self._patience = patience
+    def __init__(self, max_age: Callable[[], int]) -> None:
+        self._max_age = max_age
         self._frames = 0
         self._stories: dict[int, _Story] = {}
         self._camera = _CameraWatch()
@@ -144,7 +144,7 @@ class EventWatch:
         gone = [
             id
             for id, story in self._stories.items()
-            if self._frames - story.frame > self._patience()
+            if self._frames - story.frame > self._max_age()
         ]
         return found + [_left(self._stories.pop(id)) for id in gone]
 

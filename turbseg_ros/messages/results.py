@@ -26,7 +26,7 @@ from turbseg_ros.messages.detections import TYPE_NAME as DETECTIONS_TYPE
 from turbseg_ros.messages.detections import Detection, serialised_detections
 from turbseg_ros.messages.events import EventMessages
 from turbseg_ros.messages.images import message_from_image, ns_to_stamp
-from turbseg_ros.messages.stream_monitor import patience_for
+from turbseg_ros.messages.stream_monitor import pause_timeout_for
 from turbseg_ros.overlay import colour_of, draw_overlay, outlines
 from turbseg_ros.segmentation.clutter import cells_of
 from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResult
@@ -56,7 +56,7 @@ def header_of(frame: Frame) -> Header:
 
 def _lifetime(frame: Frame) -> Duration:
     """Return how long markers stay where nobody deletes them: as long as a stream may pause."""
-    seconds = patience_for(frame.period or 0.0) + _GRACE
+    seconds = pause_timeout_for(frame.period or 0.0) + _GRACE
     whole, rest = divmod(round(seconds * 1e9), 10**9)
     return Duration(sec=whole, nanosec=rest)
 

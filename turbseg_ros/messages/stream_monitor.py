@@ -28,13 +28,13 @@ _GAP_SECONDS = 1.0
 # While the rate is not known yet, so long a hole may be a slow camera's period.
 _FIRST_GAP_SECONDS = 10.0
 # A camera slower than this is not waited for.
-_MAX_PATIENCE = 60.0
+_MAX_PAUSE_TIMEOUT = 60.0
 # Spacings that are kept across a pause: the pause, which may be a slow camera's first, must not
 # outvote them, and three slow ones must.
 _STEPS_KEPT = 2
 # Spacings that are averaged where most are far shorter than that, as those within a burst.
 _AVERAGED = 4
-# Of the last so many frames, those whose stamps say nothing: from then on no stamp is believed,
+# Of the last so many frames, those whose stamps are unusable: from then on no stamp is believed,
 # until as many in a row have been sound.
 _MAX_UNSOUND, _SOUND_FRAMES = 3, 16
 # Spacings below this, in seconds, are no camera's.
@@ -74,7 +74,7 @@ class Verdict:
 
     `frame` is the frame with the time that it counts as taken at, when it arrived, the stream's
     period, and whether a new stream begins with it. `notice` is a line for the log, once in a
-    monitor's life: that stamps say nothing.
+    monitor's life: that stamps are unusable.
     """
 
     continuity: Continuity
@@ -93,19 +93,19 @@ def stamps_tell(stamps: Sequence[int]) -> bool:
     return len(stamps) < 2 or 2 * len({*stamps}) > len(stamps)
 
 
-def patience_for(period: float) -> float:
+def pause_timeout_for(period: float) -> float:
     """Return after how many seconds without a frame a stream of a period has paused.
 
     :param period: seconds from one frame to the next; 0 while unknown.
     """
-    return min(max(_GAP_SECONDS, _GAP_PERIODS * period), _MAX_PATIENCE)
+    return min(max(_GAP_SECONDS, _GAP_PERIODS * period), _MAX_PAUSE_TIMEOUT)
 
 
 class StreamMonitor:
     """Judges the frames of one camera in the order in which they arrive.
 
     Stamps tell when frames were taken, as long as they do: a stamp of 0 that comes twice, and some
-    that repeat with another picture or go back a little, say nothing. The time of arrival stands
+    that repeat with another picture or go back a little, are unusable. The time of arrival stands
     in for them then.
     """
 
@@ -114,14 +114,14 @@ class StreamMonitor:
         self._steps = _Steps()
         self._arrival_steps = _Steps()
         self._stamps_tell = True
-        # Of the latest frames, whether their stamps say something.
+        # Of the latest frames, whether their stamps are usable.
         self._sound: deque[bool] = deque(maxlen=_SOUND_FRAMES)
         self._noticed = False
 
     @property
-    def patience(self) -> float:
+    def pause_timeout(self) -> float:
         """Seconds without a frame after which the stream has paused."""
-        return patience_for(self._arrival_steps.usual)
+        return pause_timeout_for(self._arrival_steps.usual)
 
     @property
     def period(self) -> float | None:
@@ -138,7 +138,7 @@ class StreamMonitor:
     ) -> Verdict:
         """Say what to do with the next frame, which arrived at `arrival` (steady nanoseconds).
 
-        A stamp that repeats or comes a little late is skipped, unless it says nothing: such a
+        A stamp that repeats or comes a little late is skipped, unless it is unusable: such a
         frame counts as taken when it arrived. A jump back in time (a bag that loops), a long gap,
         another size or pixel type restarts: what follows is a new stream.
 
@@ -221,7 +221,7 @@ class StreamMonitor:
     @property
     def _max_gap(self) -> float:
         period = self._steps.usual
-        return patience_for(period) if period else _FIRST_GAP_SECONDS
+        return pause_timeout_for(period) if period else _FIRST_GAP_SECONDS
 
     def _compare(
         self, last: Frame, frame: Frame, step: float, after_drops: bool
@@ -245,7 +245,7 @@ class StreamMonitor:
         self._noticed = True
         kind = "repeat or go back while pictures change" if frame.stamp else "are not set"
         return (
-            f"stamps say nothing: they {kind}; images count as taken when they arrived, or were "
+            f"stamps are unusable: they {kind}; images count as taken when they arrived, or were "
             "recorded, and results are stamped so"
         )
 
@@ -268,7 +268,7 @@ class _Steps:
 
     def add(self, step: float) -> None:
         """Take note of the next one, unless it is no camera's."""
-        if 0.0 < step <= _MAX_PATIENCE:
+        if 0.0 < step <= _MAX_PAUSE_TIMEOUT:
             self._steps.append(step)
 
     def fade(self) -> None:

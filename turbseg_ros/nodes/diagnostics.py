@@ -153,9 +153,9 @@ class NodeState:
     """How the node stands.
 
     `publishers` and `reliability` are those of its image topic; `mismatch` tells what other type
-    it carries, if it does. `patience` is the silence, in seconds, after which the input counts as
-    stale. `limits` are what the user asks for. `has_time` is False while the node waits for
-    /clock. `look_ahead` is the number of frames that have to follow one before it is answered;
+    it carries, if it does. `pause_timeout` is the silence, in seconds, after which the input
+    counts as stale. `limits` are what the user asks for. `has_time` is False while the node waits
+    for /clock. `look_ahead` is the number of frames that have to follow one before it is answered;
     `waiting` images have not been looked at yet. `device` is what it computes on.
     """
 
@@ -164,7 +164,7 @@ class NodeState:
     publishers: int
     mismatch: str
     reliability: str
-    patience: float
+    pause_timeout: float
     limits: DiagnosticsParameters
     has_time: bool
     latency_mode: str
@@ -197,7 +197,7 @@ def _findings(report: Report, state: NodeState) -> Iterator[tuple[bytes, str]]:
             (state.mismatch or f"no image yet on {state.topic} ({state.publishers} publishers)"),
         )
         return
-    if report.silence > state.patience:
+    if report.silence > state.pause_timeout:
         yield error, f"no image on {state.topic} for {report.silence:.1f} s"
     elif report.rate(Event.RECEIVED) < state.limits.min_rate:
         yield warn, f"input below {state.limits.min_rate:g} Hz"

@@ -147,17 +147,17 @@ class InputWatch:
         self,
         topic: str,
         silence: float,
-        patience: float,
+        timeout: float,
         received: int,
         explain: Callable[[], str],
     ) -> None:
         """Take note of how long, in seconds, no image has come; to be called regularly.
 
-        :param patience: seconds that images may be apart.
+        :param timeout: seconds that images may be apart.
         :param received: images that have come so far.
         :param explain: returns why none may come; called only while none does.
         """
-        if silence < max(_SILENCE, patience):
+        if silence < max(_SILENCE, timeout):
             # The first image is told of elsewhere.
             if self._said and self._received:
                 self._logger.info(f"images come again on {topic}")

@@ -45,7 +45,7 @@ _MATCH_PERIOD = 0.2
 # stall of this process must not fill it.
 _MIN_DEPTH = 10
 # Seconds that listeners get for the last results when the node ends.
-_FAREWELL = 1.0
+_SHUTDOWN_TIMEOUT = 1.0
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 # A clock that is set back by less is being adjusted; by more, a bag begins again.
 _CLOCK_JUMP = JumpThreshold(
@@ -118,7 +118,7 @@ class TurbsegNode(ReceivingNode):
             if self._work is not None:
                 self._work.worker.stop()
             # What a busy listener has not got by now would go with the publishers.
-            self._results.wait_until_received(_FAREWELL)
+            self._results.wait_until_received(_SHUTDOWN_TIMEOUT)
             super().destroy_node()
 
     def _listen(self) -> None:
@@ -277,7 +277,7 @@ class TurbsegNode(ReceivingNode):
             self._input_watch.check(
                 images.topic,
                 report.silence,
-                work.worker.patience,
+                work.worker.pause_timeout,
                 report.totals[Event.RECEIVED],
                 lambda: self._why_silent(images),
             )
@@ -311,7 +311,7 @@ class TurbsegNode(ReceivingNode):
                 else ""
             ),
             reliability=images.reliability.name.lower() if images else "",
-            patience=work.worker.patience if work else 0.0,
+            pause_timeout=work.worker.pause_timeout if work else 0.0,
             limits=parameters.diagnostics,
             has_time=self.get_clock().now().nanoseconds > 0,
             latency_mode=parameters.latency.mode,

@@ -161,9 +161,9 @@ class SegmentationWorker:
         self._thread = threading.Thread(target=self._run, name="segmentation", daemon=True)
 
     @property
-    def patience(self) -> float:
+    def pause_timeout(self) -> float:
         """Seconds without an image after which the stream has paused."""
-        return self._monitor.patience
+        return self._monitor.pause_timeout
 
     @property
     def waiting(self) -> int:
@@ -231,7 +231,7 @@ class SegmentationWorker:
         if not self._more_to_come:
             return 0.0
         silence = (time.monotonic_ns() - self._last_arrival) / _SECOND
-        return max(self._monitor.patience - silence, 0.0)
+        return max(self._monitor.pause_timeout - silence, 0.0)
 
     def _segment(self, arrival: Arrival) -> None:
         try:

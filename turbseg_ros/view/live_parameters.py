@@ -27,7 +27,7 @@ _KINDS = {
 _TYPES = {kind: Parameter.Type(number) for number, kind in _KINDS.items()}
 _CHOICES = re.compile(r"One of ([^.]+)\.$")
 # Seconds after which an answer that has not come never will: its node has gone.
-_PATIENCE = 5.0
+_TIMEOUT = 5.0
 # Ends of a range that stand for none.
 _OPEN = 2.0**62
 
@@ -67,7 +67,7 @@ class LiveParameters:
             self._known = {}
             self._on_change(())
             return
-        if self._known or (self._asked and self._clock() - self._asked < _PATIENCE):
+        if self._known or (self._asked and self._clock() - self._asked < _TIMEOUT):
             return
         self._asked = self._clock()
         self._client.list_parameters(callback=self._describe)

@@ -25,7 +25,7 @@ DRAWN = (
 # Once a second: ten minutes.
 _POINTS = 600
 # Diagnostics come once a second; without any for so long, in seconds, the node counts as gone.
-_PATIENCE = 3.5
+_TIMEOUT = 3.5
 _NANOSECONDS = 1e9
 # Beyond, whole numbers fit no message; NaN isn't below it either.
 _LARGEST = 2.0**63
@@ -228,7 +228,7 @@ class ViewState:
             return self._is_there()
 
     def _is_there(self) -> bool:
-        return self.clock() - self._heard <= _PATIENCE
+        return self.clock() - self._heard <= _TIMEOUT
 
     def points_since(self, seen: int) -> tuple[int, list[tuple[float | None, ...]]]:
         """Return how many points there were so far, and those after the first `seen`.
