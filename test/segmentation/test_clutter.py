@@ -39,13 +39,13 @@ def taught(
     return level
 
 
-def restless(count: int, strength: float, where: np.ndarray = LEFT) -> list[np.ndarray]:
+def cluttered(count: int, strength: float, where: np.ndarray = LEFT) -> list[np.ndarray]:
     rng = np.random.default_rng(1)
     return [moving_by(rng.normal(0.0, strength, 2), where) for _ in range(count)]
 
 
-def test_the_level_of_a_restless_place_is_the_rms_of_its_velocity_an_axis() -> None:
-    level = taught(ClutterMemory(), restless(80, 0.1))
+def test_the_level_of_a_cluttered_place_is_the_rms_of_its_velocity_an_axis() -> None:
+    level = taught(ClutterMemory(), cluttered(80, 0.1))
     assert level[:, 2:14].mean() == pytest.approx(0.1, rel=0.35)
     assert level[:, 18:].max() == 0.0
 
@@ -60,9 +60,9 @@ def test_one_change_tells_little() -> None:
     assert taught(ClutterMemory(), fields).max() < 0.6 * NOISE.max()
 
 
-def test_what_was_restless_is_forgotten_slowly() -> None:
+def test_what_was_cluttered_is_forgotten_slowly() -> None:
     memory = ClutterMemory()
-    before = taught(memory, restless(60, 0.1))[:, 2:14].mean()
+    before = taught(memory, cluttered(60, 0.1))[:, 2:14].mean()
     calm = [moving_by([0.0, 0.0], LEFT)]
     soon = taught(memory, calm * 8)[:, 2:14].mean()
     late = taught(memory, calm * 150)[:, 2:14].mean()
@@ -74,8 +74,8 @@ def test_objects_are_not_learned_and_what_is_known_of_their_place_counts_by_half
     held = np.zeros(CELLS, bool)
     held[:, :16] = True
     memory = ClutterMemory()
-    assert taught(memory, restless(40, 0.1), held=held).max() == 0.0
-    known = taught(memory, restless(40, 0.1))
+    assert taught(memory, cluttered(40, 0.1), held=held).max() == 0.0
+    known = taught(memory, cluttered(40, 0.1))
     memory.propagate(STILL)
     halved = memory.take(moving_by([0, 0], LEFT), NOISE, SEEN, held, EVERY)
     assert halved[:, 4:12].mean() < 0.6 * known[:, 4:12].mean()
@@ -84,19 +84,19 @@ def test_objects_are_not_learned_and_what_is_known_of_their_place_counts_by_half
 @pytest.mark.parametrize("step", [0.7, 3.0])
 def test_it_stays_on_the_scene_when_the_camera_pans(step: float) -> None:
     memory = ClutterMemory()
-    taught(memory, restless(60, 0.1, LEFT))
+    taught(memory, cluttered(60, 0.1, LEFT))
     pan = np.array([[1.0, 0.0, step], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
     for _ in range(round(24 / step)):
         memory.propagate(pan)
     level = memory.take(moving_by([0, 0], LEFT), NOISE, SEEN, NOTHING, EVERY)
-    # The restless half has moved by six cells to the right.
+    # The cluttered half has moved by six cells to the right.
     assert level[4:-4, 8:20].mean() > 0.07
     assert level[4:-4, 24:].max() < 0.02
 
 
 def test_a_new_scene_is_learned_anew() -> None:
     memory = ClutterMemory()
-    taught(memory, restless(40, 0.1))
+    taught(memory, cluttered(40, 0.1))
     memory.forget()
     memory.propagate(STILL)
     assert memory.take(moving_by([0, 0], LEFT), NOISE, SEEN, NOTHING, EVERY).max() == 0.0
@@ -111,7 +111,7 @@ def test_objects_hold_their_cells_and_those_beside_them() -> None:
     assert held.mean() < 0.1
 
 
-def test_noise_is_raised_to_what_a_restless_place_moves_by_and_nowhere_lowered() -> None:
+def test_noise_is_raised_to_what_a_cluttered_place_moves_by_and_nowhere_lowered() -> None:
     level = np.zeros(CELLS, np.float32)
     level[:, :10] = 0.2
     raised = with_clutter(NOISE, level, 1.5)

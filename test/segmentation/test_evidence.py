@@ -1,4 +1,4 @@
-"""Whether pictures bear motion out, on pictures that are drawn."""
+"""Whether pictures confirm motion, on pictures that are drawn."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def gain(evidence: PictureEvidence) -> float:
 
 
 @pytest.mark.parametrize("noise", [0.0, 2.0])
-def test_what_really_moved_is_borne_out(noise: float) -> None:
+def test_what_really_moved_is_confirmed(noise: float) -> None:
     scene = textured(20.0)
     evidence = PictureEvidence(
         seen(scene, noise, 1), {4: seen(shifted(scene, 3.0), noise, 2)}, {4: flow_of(3.0)}
@@ -84,7 +84,7 @@ def test_the_scale_is_the_noise_of_the_picture_not_its_contrast() -> None:
     assert of_contrast(0.25) == pytest.approx(of_contrast(1.0), rel=0.15)
 
 
-def test_without_neighbours_nothing_is_borne_out() -> None:
+def test_without_neighbours_nothing_is_confirmed() -> None:
     assert gain(PictureEvidence(seen(textured(20.0), 0.0, 1), {}, {})) == 0.0
 
 
@@ -114,12 +114,12 @@ def test_only_seeds_that_the_pictures_bear_out_are_left() -> None:
     )
     strength = np.zeros(SHAPE, np.float32)
     strength[48, 30] = strength[48, 100] = 9.0
-    left = evidence.borne_out(strength, SIZE, 2.0)
+    left = evidence.confirmed(strength, SIZE, 2.0)
     assert left[48, 30] == 0.0
     assert left[48, 100] == 9.0
 
 
-def test_a_target_smaller_than_the_window_is_borne_out_by_its_own_pixels() -> None:
+def test_a_target_smaller_than_the_window_is_confirmed_by_its_own_pixels() -> None:
     def drawn(x: int, seed: int) -> np.ndarray:
         picture = np.full(SHAPE, 120.0)
         picture[47:50, x : x + 3] = 150.0

@@ -18,7 +18,7 @@ from turbseg_ros.segmentation.kmeans_ids import KMeansIds, kmeans_ids
 from turbseg_ros.segmentation.track import Detection, Observation, joined
 
 STILL_CAMERA = np.eye(3)
-CONFIRMATION, PATIENCE, SLOTS = 4, 10, 3
+CONFIRMATION, MAX_AGE, SLOTS = 4, 10, 3
 # Nothing to tell objects apart by but their place.
 PLAIN = np.full((480, 864, 1), 128, np.uint8)
 
@@ -27,7 +27,7 @@ def tracker_of(**changes: Any) -> KalmanTracker:
     known: dict[str, Any] = {
         "min_hits": CONFIRMATION,
         "false_alarms_per_hour": 1.0,
-        "max_age": PATIENCE,
+        "max_age": MAX_AGE,
         "slots": SLOTS,
     }
     return KalmanTracker(**{**known, **changes})
@@ -149,8 +149,8 @@ def test_an_edge_that_stands_out_here_and_there_never_becomes_an_object() -> Non
 def test_an_object_that_hides_for_some_frames_keeps_its_id() -> None:
     tracker = tracker_of()
     before = follow(tracker, range(8), (5, 30), (3, 0))
-    wait(tracker, PATIENCE - 2)
-    after = only(update(tracker, [crossing(8 + PATIENCE - 2, (5, 30), (3, 0))]))
+    wait(tracker, MAX_AGE - 2)
+    after = only(update(tracker, [crossing(8 + MAX_AGE - 2, (5, 30), (3, 0))]))
     assert after.track is before.track
     assert after.track.id == 1
 
@@ -158,9 +158,9 @@ def test_an_object_that_hides_for_some_frames_keeps_its_id() -> None:
 def test_an_object_that_hides_for_too_long_ends() -> None:
     tracker = tracker_of()
     follow(tracker, range(8), (5, 30), (3, 0))
-    wait(tracker, PATIENCE + 1)
+    wait(tracker, MAX_AGE + 1)
     assert not tracker.expected_outlines(STILL_CAMERA, (96, 160))
-    later = 8 + PATIENCE + 1
+    later = 8 + MAX_AGE + 1
     after = follow(tracker, range(later, later + CONFIRMATION), (5, 30), (3, 0))
     assert after.track.id == 2
 
@@ -229,7 +229,7 @@ def swaying(frame: int, reach: float) -> Detection:
     return seen(60 + reach * np.sin(phase), 30, (speed * np.cos(phase), 0.0))
 
 
-def test_what_sways_at_a_place_known_to_be_restless_never_becomes_an_object() -> None:
+def test_what_sways_at_a_place_known_to_be_cluttered_never_becomes_an_object() -> None:
     tracker = tracker_of()
     for frame in range(80):
         detection = replace(swaying(frame, reach=2.0), clutter=0.7)
@@ -250,18 +250,18 @@ def creeping(clutter: float = 0.0) -> list[Detection]:
     return [replace(detection, clutter=clutter) for detection in slowly]
 
 
-def test_it_takes_longer_where_the_place_is_restless_and_where_alarms_must_be_rarer() -> None:
-    calm, restless = confirmed_at(creeping()), confirmed_at(creeping(clutter=0.6))
+def test_it_takes_longer_where_the_place_is_cluttered_and_where_alarms_must_be_rarer() -> None:
+    calm, cluttered = confirmed_at(creeping()), confirmed_at(creeping(clutter=0.6))
     careful = confirmed_at(creeping(clutter=0.6), false_alarms_per_hour=1e-6)
     assert calm is not None
-    assert restless is not None
+    assert cluttered is not None
     assert careful is not None
-    assert calm < restless < careful
+    assert calm < cluttered < careful
 
 
 def test_a_place_that_jumps_must_be_seen_twice_as_often_but_not_at_the_border() -> None:
     flickering = [seen(20.0 + 2 * k, 20.0 + 3 * (k % 2), (2.0, 0.0)) for k in range(16)]
-    entering = [replace(detection, cut_off=True) for detection in flickering]
+    entering = [replace(detection, truncated=True) for detection in flickering]
     at_once, late = confirmed_at(entering), confirmed_at(flickering)
     assert at_once is not None
     assert late is not None
@@ -341,10 +341,10 @@ def test_a_single_sight_is_forgotten() -> None:
     assert tracker.next_id == 1
 
 
-def test_an_object_that_stops_is_kept_while_patience_lasts() -> None:
+def test_an_object_that_stops_is_kept_until_max_age() -> None:
     tracker = tracker_of()
     last = follow(tracker, range(8), (5, 30), (3, 0))
-    for _ in range(PATIENCE):
+    for _ in range(MAX_AGE):
         standing = seen(26, 30, moving=False)
         assert only(update(tracker, [standing])).track is last.track
     assert len(tracker.expected_outlines(STILL_CAMERA, (96, 160))) == 1
@@ -360,7 +360,7 @@ def test_ids_are_never_used_again() -> None:
         if number % 2:
             tracker.reset()
         else:
-            wait(tracker, PATIENCE + 1)
+            wait(tracker, MAX_AGE + 1)
     assert ids == [1, 2, 3, 4, 5]
     assert tracker.next_id == 6
 
@@ -382,9 +382,9 @@ def test_slots_are_kept_freed_and_used_again() -> None:
         observations = update(tracker, rows(frame, 0, 1, 2))
     assert [o.track.slot for o in observations] == [0, 1, 2]
     # The one in the middle is gone; another comes.
-    for frame in range(8, 8 + PATIENCE + 1):
+    for frame in range(8, 8 + MAX_AGE + 1):
         update(tracker, rows(frame, 0, 2))
-    for frame in range(8 + PATIENCE + 1, 8 + PATIENCE + 7):
+    for frame in range(8 + MAX_AGE + 1, 8 + MAX_AGE + 7):
         observations = update(tracker, rows(frame, 0, 2, 4))
     assert [(o.track.id, o.track.slot) for o in observations] == [(1, 0), (3, 2), (4, 1)]
 
@@ -484,7 +484,7 @@ def test_a_track_may_end_where_another_one_is() -> None:
     tracker = tracker_of()
     follow(tracker, range(8), (5, 30), (3, 0))
     last = 26, 30
-    wait(tracker, PATIENCE)
+    wait(tracker, MAX_AGE)
     # Long gone from there, the object ends while another is seen just where it was seen last.
     update(tracker, [seen(*last, (-3.0, 0.0))])
 

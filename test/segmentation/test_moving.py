@@ -1,4 +1,4 @@
-"""What moves in a frame, carried along to the next, against where it has gone."""
+"""What moves in a frame, propagated to the next, against where it has gone."""
 
 from __future__ import annotations
 

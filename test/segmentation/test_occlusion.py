@@ -13,7 +13,7 @@ from turbseg_ros.parameters import Parameters
 from turbseg_ros.segmentation.cropped_mask import CroppedMask
 from turbseg_ros.segmentation.foreground import ObjectCrop
 from turbseg_ros.segmentation.frame import Frame, SegmentationResult
-from turbseg_ros.segmentation.occlusion import DepthOrder, Portrait, divided_among
+from turbseg_ros.segmentation.occlusion import AppearanceModel, DepthOrder, divided_among
 
 SHAPE = (96, 160)
 TILT = 0.3
@@ -33,15 +33,17 @@ def centroid(mask: Mask) -> np.ndarray:
     return np.array([columns.mean(), rows.mean()])
 
 
-def portrait_of(mask: Mask, inside: ByteImage) -> Portrait:
-    return Portrait.of(CroppedMask.of(mask), picture_of([(mask, inside)]), centroid(mask))
+def appearance_of(mask: Mask, inside: ByteImage) -> AppearanceModel:
+    return AppearanceModel.of(CroppedMask.of(mask), picture_of([(mask, inside)]), centroid(mask))
 
 
 def divide(
-    image: ByteImage, portraits: Mapping[str, Portrait], order: DepthOrder[str] | None = None
+    image: ByteImage,
+    appearances: Mapping[str, AppearanceModel],
+    order: DepthOrder[str] | None = None,
 ) -> dict[str, Mask]:
     found = CroppedMask.of(NEAR | FAR)
-    parts = divided_among(found, portraits, image, TILT, order or DepthOrder())
+    parts = divided_among(found, appearances, image, TILT, order or DepthOrder())
     return {name: part.in_frame(SHAPE) for name, part in parts.items()}
 
 
@@ -50,24 +52,25 @@ DARK, BRIGHT = (texture(SHAPE, seed, low=low, high=low + 60) for seed, low in ((
 
 @pytest.mark.parametrize("names", [("near", "far"), ("far", "near")])
 def test_what_two_objects_share_goes_to_the_one_that_it_looks_like(names: Sequence[str]) -> None:
-    portraits = {"near": portrait_of(NEAR, DARK), "far": portrait_of(FAR, BRIGHT)}
+    appearances = {"near": appearance_of(NEAR, DARK), "far": appearance_of(FAR, BRIGHT)}
     image = picture_of([(FAR, BRIGHT), (NEAR, DARK)])
-    parts = divide(image, {name: portraits[name] for name in names})
+    parts = divide(image, {name: appearances[name] for name in names})
     assert jaccard(parts["near"], NEAR) > 0.95
     assert jaccard(parts["far"], FAR & ~NEAR) > 0.95
 
 
 def test_every_pixel_goes_to_one_object_and_none_is_lost() -> None:
-    portraits = {"near": portrait_of(NEAR, DARK), "far": portrait_of(FAR, BRIGHT)}
-    parts = divide(picture_of([(FAR, BRIGHT), (NEAR, DARK)]), portraits)
+    appearances = {"near": appearance_of(NEAR, DARK), "far": appearance_of(FAR, BRIGHT)}
+    parts = divide(picture_of([(FAR, BRIGHT), (NEAR, DARK)]), appearances)
     assert not (parts["near"] & parts["far"]).any()
     assert ((parts["near"] | parts["far"]) == (NEAR | FAR)).all()
 
 
 def test_a_little_off_its_place_an_object_keeps_its_pixels() -> None:
-    near = portrait_of(NEAR, DARK).at(centroid(NEAR) + np.array([2.0, -1.0]))
+    near = appearance_of(NEAR, DARK).at(centroid(NEAR) + np.array([2.0, -1.0]))
     parts = divide(
-        picture_of([(FAR, BRIGHT), (NEAR, DARK)]), {"near": near, "far": portrait_of(FAR, BRIGHT)}
+        picture_of([(FAR, BRIGHT), (NEAR, DARK)]),
+        {"near": near, "far": appearance_of(FAR, BRIGHT)},
     )
     assert jaccard(parts["near"], NEAR) > 0.9
 
@@ -75,17 +78,17 @@ def test_a_little_off_its_place_an_object_keeps_its_pixels() -> None:
 @pytest.mark.parametrize("front", ["near", "far"])
 def test_of_two_that_look_alike_the_one_that_was_in_front_stays_there(front: str) -> None:
     plain = np.full(SHAPE, 30, np.uint8)
-    portraits = {"near": portrait_of(NEAR, plain), "far": portrait_of(FAR, plain)}
+    appearances = {"near": appearance_of(NEAR, plain), "far": appearance_of(FAR, plain)}
     order: DepthOrder[str] = DepthOrder()
     order.observe(front, {"near": "far", "far": "near"}[front], 1.0)
-    parts = divide(picture_of([(NEAR | FAR, plain)]), portraits, order)
+    parts = divide(picture_of([(NEAR | FAR, plain)]), appearances, order)
     assert jaccard(parts[front], {"near": NEAR, "far": FAR}[front]) > 0.95
 
 
 def test_who_is_in_front_is_learned_from_what_is_seen() -> None:
     order: DepthOrder[str] = DepthOrder()
-    portraits = {"near": portrait_of(NEAR, DARK), "far": portrait_of(FAR, BRIGHT)}
-    divide(picture_of([(FAR, BRIGHT), (NEAR, DARK)]), portraits, order)
+    appearances = {"near": appearance_of(NEAR, DARK), "far": appearance_of(FAR, BRIGHT)}
+    divide(picture_of([(FAR, BRIGHT), (NEAR, DARK)]), appearances, order)
     assert order.lead("near", "far") > 0.5
     assert order.lead("far", "near") == -order.lead("near", "far")
     assert order.front_to_back(["far", "near"]) == ["near", "far"]
@@ -95,13 +98,13 @@ def test_who_is_in_front_is_learned_from_what_is_seen() -> None:
 
 def test_an_object_that_is_hidden_altogether_has_no_pixels() -> None:
     behind = rectangle(45, 35, 65, 55)
-    portraits = {"near": portrait_of(NEAR, DARK), "behind": portrait_of(behind, BRIGHT)}
+    appearances = {"near": appearance_of(NEAR, DARK), "behind": appearance_of(behind, BRIGHT)}
     found = CroppedMask.of(NEAR)
-    parts = divided_among(found, portraits, picture_of([(NEAR, DARK)]), TILT, DepthOrder())
+    parts = divided_among(found, appearances, picture_of([(NEAR, DARK)]), TILT, DepthOrder())
     assert parts.keys() == {"near"}
 
 
-class Silhouettes(ObservingRefiner):
+class TrueMasks(ObservingRefiner):
     """Judges every pixel by whether any object is there."""
 
     def __init__(self, truth: Sequence[np.ndarray]) -> None:
@@ -138,10 +141,10 @@ def passing() -> list[tuple[SegmentationResult, np.ndarray]]:
     drawn = list(crossing())
     truth = [labels for _, labels in drawn]
     parameters = Parameters.from_mapping({"resolution.processing": 160})
-    with_silhouettes = segmenter_refined_by(Silhouettes(truth), parameters)
+    with_true_masks = segmenter_refined_by(TrueMasks(truth), parameters)
     frames = [Frame(number, image) for number, (image, _) in enumerate(drawn)]
-    results = [result for frame in frames for result in with_silhouettes.push(frame)]
-    return list(zip([*results, *with_silhouettes.flush()], truth, strict=True))
+    results = [result for frame in frames for result in with_true_masks.push(frame)]
+    return list(zip([*results, *with_true_masks.flush()], truth, strict=True))
 
 
 @pytest.mark.parametrize("label", [1, 2])

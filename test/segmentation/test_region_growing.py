@@ -66,7 +66,7 @@ def seeds(motion: MotionEstimate, size: int = 9, delta1: float = 5.0, delta2: fl
     return seed_strength(motion, size, delta1, delta2) > 0
 
 
-def test_a_window_that_surely_moves_is_a_seed() -> None:
+def test_a_window_that_moves_significantly_is_a_seed() -> None:
     found = seeds(drawn_map(square(2.0)))
     assert found[SQUARE].any()
     assert found.sum() == found[SQUARE].sum()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from turbseg_ros.segmentation.significance import chance_per_test, jitter, significant_way
+from turbseg_ros.segmentation.significance import chance_per_test, jitter, significant_displacement
 
 EVERY = 4
 
@@ -20,9 +20,9 @@ def test_shimmer_goes_further_as_seldom_as_asked(
     count = 200_000
     ends = rng.normal(0.0, spread, (2, count, 2))
     steps = rng.normal(0.0, clutter / np.sqrt(2), (frames // EVERY, count, 2)) * EVERY
-    ways = np.linalg.norm(ends[1] - ends[0] + steps.sum(axis=0), axis=1)
-    wanted = significant_way(spread, clutter, frames, EVERY, chance)
-    assert np.mean(ways > wanted) == pytest.approx(chance, rel=0.25)
+    displacements = np.linalg.norm(ends[1] - ends[0] + steps.sum(axis=0), axis=1)
+    wanted = significant_displacement(spread, clutter, frames, EVERY, chance)
+    assert np.mean(displacements > wanted) == pytest.approx(chance, rel=0.25)
 
 
 def test_an_hour_of_shimmer_gives_about_as_many_alarms_as_allowed() -> None:
@@ -30,21 +30,21 @@ def test_an_hour_of_shimmer_gives_about_as_many_alarms_as_allowed() -> None:
     per_hour, hours, tracks = 20.0, 40, 3
     chance = chance_per_test(per_hour, EVERY, tracks)
     tests = int(hours * 3600 * 30 / EVERY) * tracks
-    ways = np.linalg.norm(
+    displacements = np.linalg.norm(
         rng.normal(0.0, 0.5, (tests, 2)) - rng.normal(0.0, 0.5, (tests, 2)), axis=1
     )
-    alarms = np.count_nonzero(ways > significant_way(0.5, 0.0, 8, EVERY, chance))
+    alarms = np.count_nonzero(displacements > significant_displacement(0.5, 0.0, 8, EVERY, chance))
     assert alarms / hours == pytest.approx(per_hour, rel=0.15)
 
 
-def test_more_must_be_come_where_the_place_is_restless_and_for_fewer_false_alarms() -> None:
-    calm = significant_way(0.3, 0.0, 8, EVERY, 1e-4)
-    assert significant_way(0.3, 0.3, 8, EVERY, 1e-4) > 1.5 * calm
-    assert significant_way(0.3, 0.0, 8, EVERY, 1e-6) > 1.1 * calm
+def test_more_must_be_travelled_where_the_place_is_cluttered_and_for_fewer_false_alarms() -> None:
+    calm = significant_displacement(0.3, 0.0, 8, EVERY, 1e-4)
+    assert significant_displacement(0.3, 0.3, 8, EVERY, 1e-4) > 1.5 * calm
+    assert significant_displacement(0.3, 0.0, 8, EVERY, 1e-6) > 1.1 * calm
 
 
 def test_every_way_is_significant_where_any_number_of_false_alarms_is_allowed() -> None:
-    assert significant_way(0.3, 0.3, 8, EVERY, chance_per_test(1e6, EVERY, 1)) == 0.0
+    assert significant_displacement(0.3, 0.3, 8, EVERY, chance_per_test(1e6, EVERY, 1)) == 0.0
 
 
 @pytest.mark.parametrize("spread", [0.5, 2.0])

@@ -87,7 +87,7 @@ def test_what_stands_still_is_none() -> None:
     assert followed(straight(0.0), 96, LAMPS).moving_at(0) == []
 
 
-def test_what_trembles_on_the_spot_is_none() -> None:
+def test_what_jitters_on_the_spot_is_none() -> None:
     rng = np.random.default_rng(3)
     jumps = rng.normal(0.0, 0.6, (96, 2)) + START
     assert followed(lambda index: tuple(jumps[index]), 96, LAMPS).moving_at(0) == []

@@ -42,7 +42,7 @@ def with_bars(picture: np.ndarray) -> np.ndarray:
 
 
 def with_followed(picture: np.ndarray, frame: int) -> np.ndarray:
-    """A target in the middle that the camera follows, but for a tremble of half a pixel."""
+    """A target in the middle that the camera follows, but for a jitter of half a pixel."""
     x, y = np.random.default_rng(frame + 100).normal(0.0, 0.5, 2)
     patch = np.full(SHAPE, 0.0, np.float32)
     cv2.ellipse(patch, (80, 60), (16, 8), 0.0, 0.0, 360.0, 1.0, -1)
@@ -97,8 +97,8 @@ def test_text_is_found_when_a_camera_that_stood_still_moves_at_last() -> None:
     pictures = {k: with_text(view(max(k - 16, 0), 1.5)) for k in range(40)}
     memory = OverlayMemory()
     for centre in range(4, 36, 4):
-        ways = {k: 1.5 * (max(centre + k - 16, 0) - max(centre - 16, 0)) for k in INTERVALS}
-        transforms = {k: np.array([[1, 0, -x], [0, 1, 0], [0, 0, 1.0]]) for k, x in ways.items()}
+        shifts = {k: 1.5 * (max(centre + k - 16, 0) - max(centre - 16, 0)) for k in INTERVALS}
+        transforms = {k: np.array([[1, 0, -x], [0, 1, 0], [0, 0, 1.0]]) for k, x in shifts.items()}
         neighbours = {k: pictures[centre + k] for k in INTERVALS}
         aligned = {k: align(neighbours[k], transforms[k]) for k in INTERVALS}
         still = memory.take(pictures[centre], neighbours, aligned, transforms)

@@ -1,4 +1,4 @@
-"""Which ways of small targets are found to be those of things that move."""
+"""Which paths of small targets are found to be those of things that move."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ def found(
 ) -> list[int]:
     """Return which of some targets are found to move, that have come so far to the right."""
     steps = np.linspace(-1.0, 0.0, FRAMES)[None, :, None] * np.array([1.0, 0.0])
-    ways = np.array(places)[:, None] + np.array(come)[:, None, None] * steps
-    ways = ways + np.random.default_rng(1).normal(0.0, 0.05, ways.shape)
+    paths = np.array(places)[:, None] + np.array(come)[:, None, None] * steps
+    paths = paths + np.random.default_rng(1).normal(0.0, 0.05, paths.shape)
     # The camera moves: nothing is fixed to the picture.
-    sightings = ways + 10.0 * steps
+    sightings = paths + 10.0 * steps
     targets = FollowedTargets(
-        ways,
+        paths,
         sightings,
         np.array(places),
         np.full(len(places), 20.0),

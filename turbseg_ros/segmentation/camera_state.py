@@ -1,7 +1,7 @@
 """What the camera does, told by how frames lie to one another: still, following, slewing, lost.
 
 A hand shakes about one place, a camera that is moved on purpose comes from one place to another:
-it is the displacement over several frames that tells them apart, against the way it took.
+it is the displacement over several frames that tells them apart, against the path length.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ _SLEW_SPAN, _STEADY_SPAN = 3, 12
 # Displacement a frame, in widths of the picture: from the first on the camera moves, from the
 # second on what lies within the window's reach has little in common.
 _MOVES, _SLEWS = 0.001, 0.025
-# Displacement over the way that it took, from which the motion is one on purpose.
+# Displacement over path length, from which the motion is one on purpose.
 _STEADY = 0.7
-# Where points of the picture are asked for their way, in widths and heights.
+# Where points of the picture are asked for their path, in widths and heights.
 _PLACES = np.array([[x, y] for x in (0.0, 0.5, 1.0) for y in (0.0, 0.5, 1.0)])
 
 
@@ -110,7 +110,7 @@ def _state(motions: tuple[Matrix | None, ...], size: tuple[int, int]) -> CameraS
 def _displacement(
     motions: tuple[Matrix | None, ...], size: tuple[int, int]
 ) -> tuple[float, float]:
-    """Return how far points of the picture come, in its widths, and that over their way.
+    """Return how far points of the picture travel, in its widths, and that over their path length.
 
     Both are means over the picture, so that a zoom counts as well as a pan.
     """
@@ -122,6 +122,6 @@ def _displacement(
     for number, motion in enumerate(known):
         places[number + 1] = motion @ places[number]
     step, whole = places[1:, :2] - places[:-1, :2], places[-1, :2] - places[0, :2]
-    way = np.sqrt(np.square(step).sum(axis=1)).mean(axis=1).sum()
+    path_length = np.sqrt(np.square(step).sum(axis=1)).mean(axis=1).sum()
     displacement = float(np.sqrt(np.square(whole).sum(axis=0)).mean())
-    return displacement / size[0], displacement / max(float(way), 1e-9)
+    return displacement / size[0], displacement / max(float(path_length), 1e-9)

@@ -1,4 +1,4 @@
-"""How restless each place of the scene is without anything being there: learned as it is watched.
+"""Clutter: how much each place moves without an object being there, learned as it is watched.
 
 Turbulence is stronger over a roof than beside it, edges shimmer and lawns don't, leaves sway. What
 tells them from objects is that their motion changes from one measurement to the next, while that
@@ -32,7 +32,7 @@ _DRIFT = 2.0
 
 
 class ClutterMemory:
-    """The restlessness of a scene, in pixels a frame, in cells that stay on the scene.
+    """The clutter level of a scene, in pixels a frame, in cells that stay on the scene.
 
     The level of a cell is the root mean square of half the change of its velocity between
     measurements, which forgets slowly. Where objects are expected nothing is learned.
@@ -46,7 +46,7 @@ class ClutterMemory:
         self._velocity: Flow | None = None
         self._squared: Map = np.zeros((0, 0), np.float32)
         self._count: Map = np.zeros((0, 0), np.float32)
-        self._way: Matrix = np.eye(3)
+        self._transform: Matrix = np.eye(3)
 
     def propagate(self, ego_motion: Matrix | None) -> None:
         """Follow the camera to another frame; to another scene if None.
@@ -58,18 +58,18 @@ class ClutterMemory:
             return
         if self._velocity is None:
             return
-        self._way = in_cells(ego_motion) @ self._way
+        self._transform = in_cells(ego_motion) @ self._transform
         height, width = self._count.shape
         corners = np.array([[0, width, 0, width], [0, 0, height, height], [1, 1, 1, 1]])
-        if np.abs((self._way @ corners - corners)[:2]).max() > _DRIFT:
+        if np.abs((self._transform @ corners - corners)[:2]).max() > _DRIFT:
             self._velocity, self._squared, self._count = (
-                _resampled(values, self._way, backward=False)
+                _resampled(values, self._transform, backward=False)
                 for values in (self._velocity, self._squared, self._count)
             )
-            self._way = np.eye(3)
+            self._transform = np.eye(3)
 
     def take(self, velocity: Flow, noise: Map, visible: Mask, held: Mask, frames: int) -> Map:
-        """Take in what was measured in the frame that was followed to; give what was known before.
+        """Take in what was measured in the frame followed to; return what was known before.
 
         :param velocity: HxWx2, pixels a frame.
         :param noise: HxW, its standard deviation an axis where nothing moves.
@@ -77,7 +77,7 @@ class ClutterMemory:
         :param held: hxw cells that objects are expected in: they don't count, and what is known
             of the place counts by half there.
         :param frames: frames since the measurement before.
-        :return: how restless each cell is, hxw in pixels a frame.
+        :return: the clutter level of each cell, hxw in pixels a frame.
         """
         height, width = cells_of(velocity.shape)
         measured: Flow = cv2.resize(velocity, (width, height), interpolation=cv2.INTER_AREA)
@@ -91,14 +91,14 @@ class ClutterMemory:
 
     def _level(self) -> Map:
         shrunk = self._squared * (self._count / (self._count + np.float32(_FEW)))
-        level: Map = np.sqrt(np.maximum(_resampled(shrunk, self._way, backward=False), 0.0))
+        level: Map = np.sqrt(np.maximum(_resampled(shrunk, self._transform, backward=False), 0.0))
         return level
 
     def _learn(self, measured: Flow, noise: Map, usable: Mask, frames: int) -> None:
         assert self._velocity is not None
-        least = _resampled(np.square(noise / 2), self._way, backward=True)
-        here = _resampled(measured, self._way, backward=True)
-        counts = _resampled(usable.astype(np.float32), self._way, backward=True) > 0.99
+        least = _resampled(np.square(noise / 2), self._transform, backward=True)
+        here = _resampled(measured, self._transform, backward=True)
+        counts = _resampled(usable.astype(np.float32), self._transform, backward=True) > 0.99
         change = here - self._velocity
         squared = (change[..., 0] ** 2 + change[..., 1] ** 2) / 4
         usual = np.maximum(self._squared, least)
@@ -162,10 +162,10 @@ def with_clutter(noise: Map, clutter: Map | None, factor: float) -> Map:
     return raised
 
 
-def _resampled(values: Map, way: Matrix, backward: bool) -> Map:
+def _resampled(values: Map, transform: Matrix, backward: bool) -> Map:
     """Return what a transform makes of cells, 0 beyond their border; or what its inverse does."""
-    if np.array_equal(way, np.eye(3)):
+    if np.array_equal(transform, np.eye(3)):
         return values
     flags = cv2.INTER_LINEAR | (cv2.WARP_INVERSE_MAP if backward else 0)
-    moved: Map = cv2.warpAffine(values, way[:2], values.shape[1::-1], flags=flags)
+    moved: Map = cv2.warpAffine(values, transform[:2], values.shape[1::-1], flags=flags)
     return moved

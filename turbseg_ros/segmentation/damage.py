@@ -50,12 +50,12 @@ class Usual:
     """What is usual from one sound frame to the next.
 
     `correlation` is the median over the blocks, 0 while unknown, `lost` and `frozen` are the
-    shares of the blocks and rows that are so, `restless` is by how much `lost` changes.
+    shares of the blocks and rows that are so, `deviation` is by how much `lost` changes.
     """
 
     correlation: float = 0.0
     lost: float = 0.0
-    restless: float = 0.1
+    deviation: float = 0.1
     frozen: float = 1.0
 
     def following(self, correlation: float, lost: float, frozen: float) -> Usual:
@@ -67,14 +67,14 @@ class Usual:
         return Usual(
             correlation=followed(self.correlation or correlation, correlation),
             lost=followed(self.lost, lost),
-            restless=followed(self.restless, abs(lost - self.lost)),
+            deviation=followed(self.deviation, abs(lost - self.lost)),
             frozen=followed(self.frozen, frozen),
         )
 
     @property
     def most(self) -> float:
         """The largest share of blocks that a sound frame loses."""
-        return _MEANS * self.lost + _DEVIATIONS * self.restless
+        return _MEANS * self.lost + _DEVIATIONS * self.deviation
 
 
 def judged(
@@ -134,9 +134,13 @@ def _compared(
     :param usual: median correlation of the frames before, 0 while unknown.
     """
     to_half = scaling(0.5, 0.5)
-    way = to_half @ from_previous @ np.linalg.inv(to_half)
+    in_half = to_half @ from_previous @ np.linalg.inv(to_half)
     aligned = cv2.warpAffine(
-        before, way[:2], half.shape[::-1], flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+        before,
+        in_half[:2],
+        half.shape[::-1],
+        flags=cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_REPLICATE,
     )
     here, there = half.astype(np.float32), aligned.astype(np.float32)
     mean, mean_before = _blocks(here), _blocks(there)
@@ -144,7 +148,7 @@ def _compared(
     variance_before = _blocks(there * there) - mean_before * mean_before
     covariance = _blocks(here * there) - mean * mean_before
     deviation, deviation_before = (np.sqrt(np.maximum(v, 0)) for v in (variance, variance_before))
-    seen = _seen_before(mean.shape, np.linalg.inv(way), half.shape)
+    seen = _seen_before(mean.shape, np.linalg.inv(in_half), half.shape)
     if np.count_nonzero(seen) < _MIN_BLOCKS:
         return usual, 0.0, 0
     least = max(float(np.percentile(deviation_before[seen], _PLAINEST)), _MIN_TEXTURE)

@@ -70,7 +70,7 @@ class PictureEvidence:
             total += _strongest(difference, size) / np.float32(self._noise[k])
         return total / np.float32(len(self.neighbours))
 
-    def borne_out(self, strength: Map, size: int, least: float) -> Map:
+    def confirmed(self, strength: Map, size: int, least: float) -> Map:
         """Return seeds, HxW as `region_growing.seed_strength` scores them, that gain enough.
 
         :param size: side of a seed's window in pixels.

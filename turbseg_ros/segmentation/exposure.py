@@ -116,7 +116,7 @@ def _exposures(x: ByteImage, y: ByteImage) -> tuple[Exposure, ...]:
     """Return what takes each channel of one picture, hxw or hxwxC, to that of another."""
     usable = cv2.bitwise_and(*(_in_range(each) for each in (x, y)))
     channels = _channels(x)
-    # Most frames are exposed alike, which a glance tells.
+    # Most frames are exposed alike, which mean and deviation show quickly.
     if cv2.countNonZero(usable) < _MIN_SAMPLES or _seem_alike(x, y, usable):
         return (AS_IT_IS,) * channels
     here, there = (each[usable > 0].reshape(-1, channels).astype(np.float32) for each in (x, y))

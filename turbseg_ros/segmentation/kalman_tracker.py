@@ -10,8 +10,8 @@ from scipy.optimize import linear_sum_assignment
 
 from turbseg_ros.arrays import ByteImage, Matrix, Point
 from turbseg_ros.segmentation.cropped_mask import EMPTY_MASK, CroppedMask
-from turbseg_ros.segmentation.occlusion import DepthOrder, Portrait, divided_among
-from turbseg_ros.segmentation.significance import chance_per_test, jitter, significant_way
+from turbseg_ros.segmentation.occlusion import AppearanceModel, DepthOrder, divided_among
+from turbseg_ros.segmentation.significance import chance_per_test, jitter, significant_displacement
 from turbseg_ros.segmentation.track import (
     SHAPE_SPAN,
     Detection,
@@ -34,10 +34,10 @@ _PART = 0.5
 # Share of an object's expected mask, or of the detection if that is smaller, that both must have
 # in common for the object to have a claim to the detection's pixels.
 _CLAIM = 0.1
-# Displacement over the way that its flow adds up to, from which a track may be an object: the
-# middle of what enters the picture comes half of it.
+# Displacement over the path length that its flow adds up to, from which a track may be an object:
+# the middle of what enters the picture comes half of it.
 _CONFIRMED_RATIO = 0.35
-# Least IoU of a mask with the one before, moved along, on average over the frames of confirmation
+# Least IoU of a mask with the one before, propagated, on average over the frames of confirmation
 # and, for an object, over a longer span: leaves and waves change their shape all the time.
 _MIN_SHAPE_IOU = 0.4
 # Share of the tilt that a centroid jitters by: over an object's pixels it cancels in part.
@@ -45,9 +45,10 @@ _SHARED_TILT = 0.35
 # Times what is usual by which a track's place jitters when it flickers, the least tilt in pixels
 # that counts there, and times as often that it must be seen then to become an object.
 _FLICKER, _MIN_TILT, _FLICKER_HITS = 2.0, 0.2, 2
-# Share of its size that an object must have come to be surely no restless place.
+# Share of its size that an object must have travelled to be surely no clutter.
 _TRAVELLED = 0.5
-# Least way of what no flow shows to move, in roots of its area, and over the way walked.
+# Least displacement of what no flow shows to move, in roots of its area, and over its path
+# length.
 _CLEAR, _STRAIGHT = 1.0, 0.75
 # Frames for which the place of one that got nowhere is remembered.
 _CLUTTER_SPAN = 300
@@ -140,7 +141,7 @@ class KalmanTracker:
     def travelled_outlines(
         self, ego_motion: Matrix, shape: tuple[int, int], frames: int
     ) -> list[CroppedMask]:
-        """Return where each object that has come half its size should be so many frames on.
+        """Return where each object that has travelled half its size should be so many frames on.
 
         :param ego_motion: takes the last frame's pixels to that one's, which is of some shape.
         """
@@ -177,7 +178,7 @@ class KalmanTracker:
                 track.correct(detection)
             self._confirm(track, tilt)
             if track.confirmed:
-                track.portrait = Portrait.of(detection.outline, image, track.seen_at)
+                track.appearance = AppearanceModel.of(detection.outline, image, track.seen_at)
             observations.append(track.observed(track.detection))
         seen = {id(observation.track) for observation in observations}
         for track in self._tracks:
@@ -186,7 +187,7 @@ class KalmanTracker:
         return observations
 
     def coast(self, ego_motion: Matrix, shape: tuple[int, int]) -> list[Observation]:
-        """Carry all tracks along into a frame of some shape in which nothing is looked for.
+        """Propagate all tracks to a frame of some shape in which nothing is looked for.
 
         :param ego_motion: takes the last frame's pixels to this one's.
         :return: an observation for each track that was seen when last looked for.
@@ -217,18 +218,18 @@ class KalmanTracker:
 
         :return: each such object's parts, and the detections that hold one object at most.
         """
-        portraits = {
-            track: track.portrait.at(track.position)
+        appearances = {
+            track: track.appearance.at(track.position)
             for track in self._tracks
-            if track.portrait is not None
+            if track.appearance is not None
         }
         divided: dict[Track, list[Detection]] = {}
         whole = []
         for detection in detections:
             claiming = {
-                track: portrait
-                for track, portrait in portraits.items()
-                if _has_claim(portrait.outline, detection)
+                track: appearance
+                for track, appearance in appearances.items()
+                if _has_claim(appearance.outline, detection)
             }
             if len(claiming) < 2:
                 whole.append(detection)
@@ -266,8 +267,8 @@ class KalmanTracker:
         for track, detection in seen.items():
             others = [other for there, other in seen.items() if there is not track]
             hiding = joined(others).outline if others else EMPTY_MASK
-            assert track.portrait is not None
-            track.correct_beside(detection, track.portrait.at(track.position), hiding)
+            assert track.appearance is not None
+            track.correct_beside(detection, track.appearance.at(track.position), hiding)
             observations.append(track.observed(detection))
         return observations
 
@@ -299,7 +300,7 @@ class KalmanTracker:
     def _confirm(self, track: Track, tilt: float) -> None:
         if track.confirmed or track.hits < self._min_hits or not track.detection.moving:
             return
-        if track.detection.surely_moves or self._behaves_like_object(track, tilt):
+        if track.detection.moves_significantly or self._behaves_like_object(track, tilt):
             track.confirmed = True
             track.id = self._next_id
             self._next_id += 1
@@ -307,27 +308,27 @@ class KalmanTracker:
                 track.slot = self._free_slots.pop(0)
 
     def _behaves_like_object(self, track: Track, tilt: float) -> bool:
-        """Whether it keeps its shape and has come further than chance would take it."""
+        """Whether it keeps its shape and has travelled further than chance would take it."""
         if not track.keeps_shape(max(self._min_hits - 1, 1), _MIN_SHAPE_IOU):
             return False
         if track.hits < _FLICKER_HITS * self._min_hits and _flickers(track, tilt):
             return False
         wanted = max(
-            self._significant_way(track, tilt),
+            self._significant_displacement(track, tilt),
             _CONFIRMED_RATIO * sum(track.flow_speeds),
         )
-        if any(site.holds(track.birthplace) for site in self._clutter_sites):
+        if any(site.holds(track.start) for site in self._clutter_sites):
             wanted = max(wanted, track.size)
         if not track.detection.flow_known:
             wanted = max(wanted, _CLEAR * np.sqrt(track.detection.area), _STRAIGHT * track.walked)
         return track.travelled >= wanted
 
-    def _significant_way(self, track: Track, tilt: float) -> float:
-        """Return the way that a track must have come, for chance makes a longer one too seldom."""
+    def _significant_displacement(self, track: Track, tilt: float) -> float:
+        """Return the displacement wanted of a track: chance exceeds it seldom enough."""
         tests = sum(not other.confirmed for other in self._tracks)
         usual = jitter([], _SHARED_TILT * tilt)
-        own = usual if track.detection.cut_off else jitter(track.sightings, usual)
-        return significant_way(
+        own = usual if track.detection.truncated else jitter(track.sightings, usual)
+        return significant_displacement(
             # An outline that is mended jumps, too.
             jitter=min(own, _FLICKER * usual),
             clutter=float(np.sqrt(np.mean(np.square(track.clutter)))),
@@ -362,7 +363,7 @@ def _flickers(track: Track, tilt: float) -> bool:
 
     What enters or leaves the picture changes its middle without that.
     """
-    if track.detection.cut_off:
+    if track.detection.truncated:
         return False
     return jitter(track.sightings, tilt) > _FLICKER * max(tilt, _MIN_TILT)
 
@@ -393,6 +394,6 @@ def _cost(track: Track, detection: Detection, tilt: float) -> float:
         return _UNMATCHABLE
     size = track.detection.area, detection.area
     change_of_size = float(np.log(max(size) / max(min(size), 1)))
-    turn = float(np.hypot(*np.subtract(detection.velocity, track.velocity)))
+    change_of_velocity = float(np.hypot(*np.subtract(detection.velocity, track.velocity)))
     speed = max(float(np.hypot(*detection.velocity)), float(np.hypot(*track.velocity)), 0.5)
-    return distance / reach + 0.25 * change_of_size + 0.25 * min(turn / speed, 2.0)
+    return distance / reach + 0.25 * change_of_size + 0.25 * min(change_of_velocity / speed, 2.0)

@@ -71,13 +71,13 @@ class KMeansIds:
         return [track.observed(track.detection) for track in tracks]
 
     def coast(self, ego_motion: Matrix, shape: tuple[int, int]) -> list[Observation]:
-        """Take the masks of the frame before, carried along, for those of this one."""
+        """Take the masks of the frame before, propagated, for those of this one."""
         before = self._clip[-1] if self._clip else []
         carried = [track.expected(ego_motion, shape) for track in before]
         return self._take([Track.started(each, 0.0) for each in carried if each.area])
 
     def settle(self) -> None:
-        """Give the clip's masks their ids."""
+        """Assign their ids to the clip's masks."""
         counts = [len(tracks) for tracks in self._clip if tracks]
         if not counts:
             return

@@ -15,12 +15,12 @@ class Load:
     """How a frame is segmented under the load of its moment.
 
     `coasts`: between measurements of motion, objects are propagated instead of outlined;
-    `measures_seldom`: motion is measured half as often; `frames_at_once`: how many frames that
+    `sparse_motion`: motion is measured half as often; `frames_at_once`: how many frames that
     have piled up in the window are segmented for each that comes.
     """
 
     coasts: bool = False
-    measures_seldom: bool = False
+    sparse_motion: bool = False
     frames_at_once: int = _CATCH_UP
 
     @classmethod
@@ -29,6 +29,6 @@ class Load:
         coasts = waiting >= latency.coast_from
         return cls(
             coasts=coasts,
-            measures_seldom=waiting >= latency.sparse_from,
+            sparse_motion=waiting >= latency.sparse_from,
             frames_at_once=1 if coasts and waiting else _CATCH_UP,
         )

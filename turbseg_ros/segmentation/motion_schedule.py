@@ -25,7 +25,7 @@ class MotionSchedule:
 
     :param causal: whether nothing may be waited for: a measurement is then asked for half a
         period late, and brought up to date by propagation.
-    :param objects_in: tells where objects that have come some way will be in a frame, at detail
+    :param objects_in: tells where objects that have travelled will be in a frame, at detail
         resolution.
     """
 
@@ -123,7 +123,7 @@ class MotionSchedule:
                 index,
                 neighbourhood,
                 self._interval,
-                self._window.way(before, index),
+                self._window.transform_if_continuous(before, index),
                 index - before,
                 self._objects_in(index),
             )

@@ -1,4 +1,4 @@
-"""The seam for those who look at the stages: pictures of them, their times, training examples."""
+"""Hooks that observe the stages: for pictures of them, their times, training examples."""
 
 from __future__ import annotations
 

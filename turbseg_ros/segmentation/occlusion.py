@@ -1,8 +1,8 @@
 """Which object each pixel belongs to where objects touch or hide one another.
 
 Each object is remembered as it was when last seen whole. Where several are expected in one
-silhouette, they compete for its pixels: by how far a pixel lies from where the object is expected,
-by how well the object's remembered colours explain it, and by who is known to be in front.
+mask, they compete for its pixels: by how far a pixel lies from where the object is expected, by
+how well the object's remembered colours explain it, and by who is known to be in front.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from turbseg_ros.segmentation.cropped_mask import Box, CroppedMask
 
 Key = TypeVar("Key", bound=Hashable)
 
-# An object's usual difference from its portrait in grey values is taken from so many pixels at
-# least, and is not below what a camera's noise makes.
+# An object's usual difference from its appearance model in grey values is taken from so many
+# pixels at least, and is not below what a camera's noise makes.
 _MIN_SAMPLES = 20
 _MIN_DIFFERENCE = 3.0
 # The most usual differences that one pixel counts: a highlight may differ by any amount.
@@ -42,7 +42,7 @@ _MAX_LEAD = 1.0
 
 
 @dataclass(frozen=True)
-class Portrait:
+class AppearanceModel:
     """An object as it was last seen whole.
 
     `picture` is hxwxC, what its box of the frame showed; `centre` is where its centroid (x, y)
@@ -54,15 +54,15 @@ class Portrait:
     centre: Point
 
     @classmethod
-    def of(cls, outline: CroppedMask, image: ByteImage, centre: Point) -> Portrait:
-        """Return the portrait of what an outline holds in a frame, HxWxC."""
+    def of(cls, outline: CroppedMask, image: ByteImage, centre: Point) -> AppearanceModel:
+        """Return the appearance model of what an outline holds in a frame, HxWxC."""
         return cls(outline, image[outline.box.slices].copy(), centre)
 
-    def at(self, position: Point) -> Portrait:
+    def at(self, position: Point) -> AppearanceModel:
         """Return it where its centroid lies at `position`, to the pixel."""
         dx, dy = np.rint(position - self.centre).astype(int)
         moved = CroppedMask(self.outline.box.moved(int(dx), int(dy)), self.outline.mask)
-        return Portrait(moved, self.picture, position)
+        return AppearanceModel(moved, self.picture, position)
 
 
 class DepthOrder(Generic[Key]):
@@ -94,24 +94,24 @@ class DepthOrder(Generic[Key]):
 
 def divided_among(
     found: CroppedMask,
-    portraits: Mapping[Key, Portrait],
+    appearances: Mapping[Key, AppearanceModel],
     image: ByteImage,
     tilt: float,
     order: DepthOrder[Key],
 ) -> dict[Key, CroppedMask]:
-    """Divide the pixels of a silhouette among the objects that are expected in it.
+    """Divide the pixels of a mask among the objects that are expected in it.
 
-    :param portraits: the objects where they are expected.
+    :param appearances: the objects where they are expected.
     :param image: HxWxC, the frame.
     :param tilt: rms turbulent motion an axis in pixels.
     :param order: what is known of who is in front; learns from where the objects overlap.
     :return: the pixels of each object that has any.
     """
-    box, keys = found.box, list(portraits)
-    expected = [portraits[key].outline.within(box) & found.mask for key in keys]
+    box, keys = found.box, list(appearances)
+    expected = [appearances[key].outline.within(box) & found.mask for key in keys]
     differences, costs = [], []
     for key, alone in zip(keys, _unshared(expected), strict=True):
-        distance, picture = _extended(portraits[key], box)
+        distance, picture = _extended(appearances[key], box)
         difference = _difference(image[box.slices], picture, reach=1 + round(tilt))
         usual = float(difference[alone].mean()) if alone.sum() >= _MIN_SAMPLES else 0.0
         difference /= max(usual, _MIN_DIFFERENCE)
@@ -140,13 +140,13 @@ def _unshared(masks: Sequence[Mask]) -> list[Mask]:
     return [mask & (count == 1) for mask in masks]
 
 
-def _extended(portrait: Portrait, box: Box) -> tuple[Map, ByteImage]:
-    """Return how far a box's pixels lie from a portrait, and its picture, carried on all round.
+def _extended(appearance: AppearanceModel, box: Box) -> tuple[Map, ByteImage]:
+    """Return how far a box's pixels lie from a known object, and its picture, continued all round.
 
     Distances, hxw, are in pixels, 0 within the outline; beyond it the picture, hxwxC, goes on
     with the nearest colour.
     """
-    outline, channels = portrait.outline, portrait.picture.shape[2]
+    outline, channels = appearance.outline, appearance.picture.shape[2]
     expected = outline.within(box)
     common = outline.box.intersection(box)
     if common is None or not expected.any():
@@ -157,7 +157,7 @@ def _extended(portrait: Portrait, box: Box) -> tuple[Map, ByteImage]:
     )
     seen = common.moved(-outline.box.x0, -outline.box.y0).slices
     colours = np.zeros((int(nearest.max()) + 1, channels), np.uint8)
-    colours[nearest[expected]] = portrait.picture[seen][outline.mask[seen]]
+    colours[nearest[expected]] = appearance.picture[seen][outline.mask[seen]]
     return distance, colours[nearest]
 
 

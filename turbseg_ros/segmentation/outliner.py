@@ -321,11 +321,11 @@ def _detection(
         moving=bool((outline.mask & moving[outline.box.slices]).any()),
         clutter=clutter,
         flow_known=flow_known,
-        cut_off=_is_cut_off(row, column, motion.visible),
+        truncated=_is_truncated(row, column, motion.visible),
     )
 
 
-def _is_cut_off(row: Pixels, column: Pixels, visible: Mask) -> bool:
+def _is_truncated(row: Pixels, column: Pixels, visible: Mask) -> bool:
     """Whether pixels reach the border of what neighbours see, HxW."""
     height, width = visible.shape
     top, bottom, left, right = row.min(), row.max(), column.min(), column.max()

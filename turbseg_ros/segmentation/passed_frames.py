@@ -155,11 +155,11 @@ def _as_beginning(scene: Sequence[_Held]) -> list[ReadyFrame]:
     found: list[ReadyFrame] = []
     for held in scene:
         is_first = not found
-        way = None if is_first else held.from_held
+        transform = None if is_first else held.from_held
         prepared = replace(
             held.ready.prepared,
-            from_previous=np.eye(3) if way is None else way,
-            continues=way is not None,
+            from_previous=np.eye(3) if transform is None else transform,
+            continues=transform is not None,
             condition=Condition.CUT if is_first else Condition.SOUND,
             usual=None if is_first else Usual(),
             camera=CameraTrack(),
@@ -179,14 +179,14 @@ def _as_going_on(frames: Sequence[ReadyFrame]) -> list[ReadyFrame]:
         if ready.condition is not Condition.DAMAGED:
             found.append(ready)
             continue
-        way = ready.prepared.from_previous
+        transform = ready.prepared.from_previous
         prepared = replace(
             ready.prepared,
-            from_previous=way @ np.linalg.inv(before),
+            from_previous=transform @ np.linalg.inv(before),
             condition=Condition.SOUND,
         )
         found.append(replace(ready, prepared=prepared))
-        before = way
+        before = transform
     return found
 
 
@@ -211,15 +211,15 @@ def passed_over(
         return replace(last, frame=frame, condition=condition)
     shown: list[Observation] = []
     if condition is Condition.DAMAGED:
-        way = resolution.to_detail(ready.from_previous)
-        shown = [_moved(observation, way, shape) for observation in known]
+        transform = resolution.to_detail(ready.from_previous)
+        shown = [_moved(observation, transform, shape) for observation in known]
     return PendingResult(
         frame, resolution, camera, observations=shown, regions=last.regions, condition=condition
     )
 
 
-def _moved(observation: Observation, way: Matrix, shape: tuple[int, int]) -> Observation:
+def _moved(observation: Observation, transform: Matrix, shape: tuple[int, int]) -> Observation:
     """Return an observation in another frame's pixels, of some shape."""
     seen = observation.detection
-    outline = seen.outline.resampled(way, shape, cv2.INTER_NEAREST)
+    outline = seen.outline.resampled(transform, shape, cv2.INTER_NEAREST)
     return replace(observation, detection=replace(seen, box=outline.box, mask=outline.mask))

@@ -96,7 +96,7 @@ class Pipeline:
         ego_motion = resolution.to_detail(self.window[index].from_previous)
 
         # What moves here, measured (see `measure_motion`) or propagated: eq. 1 to 3.
-        moving = self._schedule.what_moves(index, load.measures_seldom)
+        moving = self._schedule.what_moves(index, load.sparse_motion)
         if moving is None:
             tracker.update([], ego_motion, 0.0, self.window[index].detail)
             self._tracked = index
@@ -153,7 +153,7 @@ class Pipeline:
             )
             measure = measure_for(self._strategies.measure, seen)
             motions = measure.motions(flows, valid, job.interval)
-        # Seeds that the pictures bear out, and the regions that grow from them (eq. 3).
+        # Seeds that the pictures confirm, and the regions that grow from them (eq. 3).
         with self._observer.stage("region growing"):
             near = {k: aligned[k] for k in aligned if abs(k) <= SHORT_BASELINE * job.interval}
             evidence = PictureEvidence(neighbourhood.grey, near or aligned, flows)
@@ -178,12 +178,12 @@ class Pipeline:
         self._worker.cancel()
 
     def _travelled_objects(self, index: int) -> list[CroppedMask]:
-        """Return where objects that have come some way should be in a frame to come."""
-        way = self.window.way(self._tracked, index)
-        if way is None:
+        """Return where objects that have travelled should be in a frame to come."""
+        motion = self.window.transform_if_continuous(self._tracked, index)
+        if motion is None:
             return []
         return self._strategies.tracker.travelled_outlines(
-            self.resolution.to_detail(way), self.resolution.detail_shape, index - self._tracked
+            self.resolution.to_detail(motion), self.resolution.detail_shape, index - self._tracked
         )
 
     def _grow(
@@ -191,9 +191,9 @@ class Pipeline:
     ) -> list[Region]:
         seed, growing = self._parameters.seed, self._parameters.growing
         noise = with_clutter(motion.noise, motion.clutter, seed.clutter)
-        restless = replace(motion, noise=self._regions.without_seeds(noise, objects))
-        strength = seed_strength(restless, seed.size, seed.delta1, seed.delta2)
-        strength = evidence.borne_out(strength, seed.size, seed.evidence)
+        with_clutter_noise = replace(motion, noise=self._regions.without_seeds(noise, objects))
+        strength = seed_strength(with_clutter_noise, seed.size, seed.delta1, seed.delta2)
+        strength = evidence.confirmed(strength, seed.size, seed.evidence)
         similarity = self._strategies.similarity
         return grow_regions(
             motion, strength, seed.size, growing.delta, similarity, MIN_REGION, taken

@@ -20,7 +20,7 @@ _FREE, _TAKEN = 0, 1
 
 @dataclass(frozen=True)
 class Seed:
-    """A place that surely moves: pixel (x, y), velocity in pixels a frame, strength M/noise."""
+    """A place that moves significantly: pixel (x, y), velocity in pixels a frame, M/noise."""
 
     x: int
     y: int

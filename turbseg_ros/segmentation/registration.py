@@ -1,4 +1,4 @@
-"""Ego-motion between frames: as much of an affine transform as the pictures bear out.
+"""Ego-motion between frames: as much of an affine transform as the pictures confirm.
 
 A plain sky, fog or a target that fills the view leave nothing to tell the camera's motion by. Then
 a registration is held, and says so.
@@ -67,7 +67,7 @@ class EgoMotionModel(enum.Enum):
     """Nothing: there was nothing to compare a frame with."""
     AFFINE = "affine"
     SIMILARITY = "similarity"
-    """Turn, zoom and translation, where corners bear out no more."""
+    """Turn, zoom and translation, where corners confirm no more."""
     TRANSLATION = "translation"
     HELD = "held"
     """Nothing to hold on to in the pictures: what was known before is taken to go on."""
@@ -119,7 +119,7 @@ def register(
 
     Corners are followed by pyramidal Lucas-Kanade from where the translation puts them, and an
     affine transform is fitted by RANSAC, so that moving objects do not take part. Where corners
-    are too few, or too close together, to bear it out, a similarity stands, or a translation, and
+    are too few, or too close together, to confirm it, a similarity stands, or a translation, and
     at last the motion is held. None when the pictures have nothing in common: a cut, a covered
     lens, a torn frame.
 
@@ -209,7 +209,7 @@ def _corners(half: ByteImage, scene: ByteImage | None) -> Points:
 def _by_corners(
     source: ByteImage, target: ByteImage, corners: Points, shift: npt.NDArray[np.float64]
 ) -> Registration | None:
-    """Return the richest model that corners bear out; None where they bear out none.
+    """Return the richest model that corners confirm; None where they confirm none.
 
     :param shift: about how far `source` has moved to become `target`, (x, y).
     """
@@ -237,7 +237,7 @@ def _by_corners(
     size = (source.shape[1], source.shape[0])
     for model, fit in _FITS.items():
         motion = fit(corners, there)
-        if motion is not None and _is_borne_out(model, motion, corners, there, alike, size):
+        if motion is not None and _is_confirmed(model, motion, corners, there, alike, size):
             return Registration(np.vstack([motion, [0.0, 0.0, 1.0]]), model)
     return None
 
@@ -275,7 +275,7 @@ _FITS = {
 }
 
 
-def _is_borne_out(
+def _is_confirmed(
     model: EgoMotionModel,
     motion: Matrix,
     corners: Points,

@@ -15,7 +15,7 @@ from turbseg_ros.segmentation.window import Neighbourhood
 class SceneMemory:
     """Knows by how much each place moves anyway, and what is no scene but burnt into the picture.
 
-    Motion over short and long baselines is restless in its own way: each has a memory of its own.
+    Short and long baselines have clutter of their own: each has a memory of its own.
     """
 
     def __init__(self) -> None:

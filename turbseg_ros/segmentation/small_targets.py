@@ -2,7 +2,7 @@
 
 Flow compares patches; a target smaller than they are, or slower than flow can tell, is lost in it.
 But before sky or fog it is the strongest thing within its surroundings, in every single frame. So
-it is linked from frame to frame first and judged afterwards, by the way that it has come against
+it is linked from frame to frame first and judged afterwards, by its displacement against
 what else stands out near it: that is not misled by a camera whose motion is known badly, nor by
 one that follows the target.
 """
@@ -46,17 +46,17 @@ _FRACTIONS = 16
 _MARGIN = 6
 # Pixels within which a target's middle is told.
 _REACH = 4
-# Frames of a way that are remembered, and those at its end that tell a velocity.
+# Frames of a path that are remembered, and those at its end that tell a velocity.
 _MEMORY, _RECENT = 96, 12
 # Pixels from where a target is expected: when seen once, a few times, often; the last grows by
 # that share of its speed.
 _GATES, _GATE_OF_SPEED = (6.0, 4.0, 2.0), 0.3
 _FEW, _SURE = 4, 8
 # Frames that a target may be missed: when seen a few times, often.
-_PATIENCE = (2, 6)
+_MAX_MISSES = (2, 6)
 # Contrasts of one target differ by no more than this factor.
 _ALIKE = 2.5
-# Every so many frames ways are judged.
+# Every so many frames paths are judged.
 _EVERY = 4
 # Square, in detail pixels, in which an outline is drawn, and its share of the contrast.
 _CROP, _EDGE = 14, 0.4
@@ -84,7 +84,7 @@ NO_BLOBS = Blobs(np.zeros((0, 2)), np.zeros(0), np.zeros(0))
 
 @dataclass(frozen=True)
 class SmallTarget:
-    """A target that has surely moved, in one frame.
+    """A target that has moved significantly, in one frame.
 
     Place (x, y) and velocity, against the scene, are in pixels (a frame) at processing resolution;
     `number` is the same in all its frames.
@@ -172,12 +172,12 @@ def _middles(
 
 
 class TargetTracks:
-    """Follows what stands out, and tells what of it has surely moved."""
+    """Follows what stands out, and tells what of it has moved significantly."""
 
     def __init__(self) -> None:
         # Places of N tracks in the newest frame's coordinates, from where each was first seen to
         # where it is, and before that NaN; and as they came, NaN where it was not seen.
-        self._ways: Points = np.zeros((0, _MEMORY, 2))
+        self._paths: Points = np.zeros((0, _MEMORY, 2))
         self._raw: Points = np.zeros((0, _MEMORY, 2))
         # Where each is expected in the newest frame, its velocity and its contrast.
         self._places: Points = np.zeros((0, 2))
@@ -212,8 +212,8 @@ class TargetTracks:
         blobs = _in_scene(blobs, overlay)
         taken = self._match(blobs)
         self._estimate()
-        patience = np.choose(np.digitize(self._hits, (_FEW, _RECENT)), (0, *_PATIENCE))
-        kept = self._misses <= patience
+        max_misses = np.choose(np.digitize(self._hits, (_FEW, _RECENT)), (0, *_MAX_MISSES))
+        kept = self._misses <= max_misses
         if not kept.all():
             self._keep(kept)
         self._begin(blobs, ~taken)
@@ -221,7 +221,7 @@ class TargetTracks:
             self._judge()
 
     def moving_at(self, age: int) -> list[SmallTarget]:
-        """Return the targets that have surely moved, as seen so many frames before the newest."""
+        """Return the targets that have moved, as seen so many frames before the newest."""
         if age >= _MEMORY:
             return []
         places = self._raw[:, _MEMORY - 1 - age]
@@ -240,8 +240,8 @@ class TargetTracks:
         linear, shift = ego_motion[:2, :2].T, ego_motion[:2, 2]
         self._velocities = self._velocities @ linear
         self._places = self._places @ linear + shift + self._velocities
-        self._ways[:, :-1] = self._ways[:, 1:] @ linear + shift
-        self._ways[:, -1] = self._places
+        self._paths[:, :-1] = self._paths[:, 1:] @ linear + shift
+        self._paths[:, -1] = self._places
         self._raw[:, :-1] = self._raw[:, 1:]
         self._raw[:, -1] = np.nan
         self._misses += 1
@@ -267,7 +267,7 @@ class TargetTracks:
         tracks = np.nonzero(near.any(axis=1) & (best_track[best_blob] == np.arange(len(cost))))[0]
         found = best_blob[tracks]
         taken[found] = True
-        self._ways[tracks, -1] = self._raw[tracks, -1] = blobs.points[found]
+        self._paths[tracks, -1] = self._raw[tracks, -1] = blobs.points[found]
         for mean, now in (
             (self._contrasts, blobs.contrast),
             (self._strengths, blobs.strength),
@@ -279,26 +279,26 @@ class TargetTracks:
 
     def _estimate(self) -> None:
         """Fit a line to the recent places of those just seen: their velocity and place."""
-        recent = self._ways[:, -_RECENT:]
+        recent = self._paths[:, -_RECENT:]
         seen = ~np.isnan(self._raw[:, -_RECENT:, 0])
         count = np.maximum(seen.sum(axis=1), 1)
         age = np.arange(1 - _RECENT, 1)
         mean_age = (seen * age).sum(axis=1) / count
         distance = (age - mean_age[:, None]) * seen
         places = np.where(seen[..., None], recent, 0.0)
-        # A short way tells little of a velocity: it is taken to be slower.
+        # A short path tells little of a velocity: it is taken to be slower.
         spread = (distance**2).sum(axis=1) + 2.0
         velocity = (distance[..., None] * places).sum(axis=1) / spread[:, None]
         fitted = places.sum(axis=1) / count[:, None] - velocity * mean_age[:, None]
         just = (self._misses == 0) & (self._hits >= 2)
         self._velocities[just] = velocity[just]
-        last = self._ways[:, -1]
+        last = self._paths[:, -1]
         steady = just & (self._hits >= _RECENT // 2)
         self._places[just] = last[just]
         self._places[steady] = (last[steady] + fitted[steady]) / 2.0
 
     def _keep(self, kept: Mask) -> None:
-        self._ways, self._raw = self._ways[kept], self._raw[kept]
+        self._paths, self._raw = self._paths[kept], self._raw[kept]
         self._places, self._velocities = self._places[kept], self._velocities[kept]
         self._contrasts, self._strengths = self._contrasts[kept], self._strengths[kept]
         self._moves, self._numbers = self._moves[kept], self._numbers[kept]
@@ -313,12 +313,12 @@ class TargetTracks:
         count = len(points)
         if not count:
             return
-        way = np.full((count, _MEMORY, 2), np.nan)
-        way[:, -1] = points
+        path = np.full((count, _MEMORY, 2), np.nan)
+        path[:, -1] = points
         numbers = np.arange(self._begun + 1, self._begun + count + 1)
         self._begun += count
-        self._ways = np.concatenate([self._ways, way])
-        self._raw = np.concatenate([self._raw, way])
+        self._paths = np.concatenate([self._paths, path])
+        self._raw = np.concatenate([self._raw, path])
         self._places = np.concatenate([self._places, points])
         self._velocities = np.concatenate([self._velocities, np.zeros((count, 2))])
         self._contrasts = np.concatenate([self._contrasts, blobs.contrast[free]])
@@ -329,10 +329,10 @@ class TargetTracks:
         self._numbers = np.concatenate([self._numbers, numbers])
 
     def _judge(self) -> None:
-        """Tell which tracks have surely moved."""
+        """Tell which tracks have moved significantly."""
         known = np.nonzero(self._hits >= _SURE)[0]
         followed = FollowedTargets(
-            self._ways[known],
+            self._paths[known],
             self._raw[known],
             self._places[known],
             self._strengths[known],
@@ -363,7 +363,7 @@ def with_targets(
     image: ByteImage,
     resolution: Resolution,
 ) -> list[Detection]:
-    """Return detections, those that show a target surely moving, and the other targets with them.
+    """Return detections, those that show a moving target, and the other moving targets.
 
     :param image: HxWxC at detail resolution.
     """

@@ -2,7 +2,7 @@
 
 Between two frames that the camera's motion sets apart, the scene fits once it is aligned, and what
 is burnt in fits as it is. A target that the camera follows stands nearly still as well, but never
-to the grey value: it trembles, turns and is seen through air.
+to the grey value: it jitters, turns and is seen through air.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from turbseg_ros.segmentation.geometry import pixel_grid
 
 # Pixels by which the camera must have moved for a comparison to tell anything.
 _MIN_MOTION = 2.0
-# Range of grey values around a pixel from which it would betray the least tremble, and the share
+# Range of grey values around a pixel from which it would betray the least jitter, and the share
 # of it that it may differ by and still be the same.
 _EDGE, _SAME = 12, 1 / 32
 # Grey values by which the scene must differ where it is known to have moved, or be.
@@ -140,6 +140,6 @@ def _moved(transform: Matrix, shape: tuple[int, ...]) -> Mask:
     """Return which pixels the camera's motion has set apart, HxW."""
     height, width = cells_of(shape)
     middles = pixel_grid((height * CELL, width * CELL), CELL)
-    way = cv2.transform(middles, transform[:2]) - middles
-    apart = np.square(way).sum(axis=-1) > _MIN_MOTION**2
+    displacement = cv2.transform(middles, transform[:2]) - middles
+    apart = np.square(displacement).sum(axis=-1) > _MIN_MOTION**2
     return enlarged(apart, shape)

@@ -1,6 +1,6 @@
 """One object through time: where it was seen, where it is expected, whether it behaves like one.
 
-Positions and masks are in detail pixels. Before each frame a track is carried along by the
+Positions and masks are in detail pixels. Before each frame a track is propagated by the
 ego-motion, so that velocities are against the scene.
 """
 
@@ -17,11 +17,11 @@ from turbseg_ros.arrays import ByteImage, Mask, Matrix, Point
 from turbseg_ros.segmentation.certainty import certainty
 from turbseg_ros.segmentation.cropped_mask import Box, CroppedMask
 from turbseg_ros.segmentation.geometry import translation
-from turbseg_ros.segmentation.occlusion import Portrait
+from turbseg_ros.segmentation.occlusion import AppearanceModel
 
 _TRAIL_LENGTH = 60
-# Least displacement over the way that its flow adds up to, or an object ends: flow bleeds past an
-# object's edge, and what sways or ripples gets nowhere.
+# Least displacement over the path length that its flow adds up to, or an object ends: flow bleeds
+# past an object's edge, and what sways or ripples gets nowhere.
 _MIN_DISPLACEMENT_RATIO = 0.25
 # Frames over which an object's displacement is compared with its flow's.
 _DISPLACEMENT_SPAN = 24
@@ -37,14 +37,14 @@ SHAPE_SPAN = 12
 
 @dataclass(frozen=True)
 class Detection:
-    """A silhouette that may be an object: hxw mask within its box, and how it moves.
+    """A mask that may be an object: hxw within its box, and how it moves.
 
     `velocity` is in pixels a frame against the scene; `moving` tells whether motion was found in
     this frame, or only an outline that stands out where an object is known to be. `clutter` is
-    what its place is known to move by without anything being there, in pixels a frame; `cut_off`
-    tells whether it reaches the border of what can be seen, `flow_known` whether flow tells its
-    velocity, which else is 0. `targets` are the numbers of the small targets that it shows, which
-    were followed for long enough to know that it is an object.
+    what its place is known to move by without anything being there, in pixels a frame;
+    `truncated` tells whether it reaches the border of what can be seen, `flow_known` whether flow
+    tells its velocity, which else is 0. `targets` are the numbers of the small targets that it
+    shows, which were followed for long enough to know that it is an object.
     """
 
     box: Box
@@ -52,12 +52,12 @@ class Detection:
     velocity: tuple[float, float]
     moving: bool
     clutter: float = 0.0
-    cut_off: bool = False
+    truncated: bool = False
     flow_known: bool = True
     targets: frozenset[int] = frozenset()
 
     @property
-    def surely_moves(self) -> bool:
+    def moves_significantly(self) -> bool:
         """Whether it is known to be an object before it is tracked."""
         return bool(self.targets)
 
@@ -84,16 +84,17 @@ class Track:
     """One object through time.
 
     `detection` is what was seen of it last, when its centroid, hidden parts included, was at
-    `seen_at`; `portrait` is what it looked like when last seen whole, None until it is an object.
-    `sightings` are its centroids, `clutter` what their places move by, the oldest first; `targets`
-    the numbers of the small targets that it showed last.
+    `seen_at`; `appearance` is what it looked like when last seen whole, None until it is an
+    object. `start` is where it was seen first; `sightings` are its centroids, `clutter` what their
+    places move by, the oldest first; `targets` the numbers of the small targets that it showed
+    last.
     """
 
     detection: Detection
     kalman: cv2.KalmanFilter
-    birthplace: Point
+    start: Point
     seen_at: Point
-    portrait: Portrait | None = None
+    appearance: AppearanceModel | None = None
     id: int = 0
     slot: int = -1
     hits: int = 1
@@ -117,7 +118,7 @@ class Track:
         return cls(
             detection,
             _kalman_at(detection, tilt),
-            birthplace=centroid,
+            start=centroid,
             seen_at=centroid,
             sightings=[centroid],
             clutter=[detection.clutter],
@@ -144,12 +145,12 @@ class Track:
         return len(recent) < known or float(np.mean(recent)) >= least
 
     def gets_nowhere(self) -> bool:
-        """Whether, for a good while, it has come a small part of the way its flow adds up to."""
+        """Whether its displacement has long been a small part of what its flow adds up to."""
         expected = sum(self.flow_speeds[-_DISPLACEMENT_SPAN:])
         if len(self.trail) < _DISPLACEMENT_SPAN or expected < 0.5 * self.size:
             return False
-        come = float(np.linalg.norm(self.trail[-1] - self.trail[-_DISPLACEMENT_SPAN]))
-        return come < _MIN_DISPLACEMENT_RATIO * expected
+        displacement = float(np.linalg.norm(self.trail[-1] - self.trail[-_DISPLACEMENT_SPAN]))
+        return displacement < _MIN_DISPLACEMENT_RATIO * expected
 
     @property
     def velocity(self) -> tuple[float, float]:
@@ -170,29 +171,31 @@ class Track:
         state[2:, 0] = linear @ state[2:, 0]
         self.kalman.statePost = state
         self.kalman.predict()
-        self.birthplace = linear @ self.birthplace + ego_motion[:2, 2]
+        self.start = linear @ self.start + ego_motion[:2, 2]
         self.trail = [linear @ point + ego_motion[:2, 2] for point in self.trail]
         self.sightings = [linear @ point + ego_motion[:2, 2] for point in self.sightings]
 
     def correct(self, detection: Detection) -> None:
         """Take the detection that stands for it in this frame."""
         # A pixel more or less is much of a target of a few, and says nothing.
-        iou = 1.0 if detection.surely_moves else self.shape_iou(detection)
+        iou = 1.0 if detection.moves_significantly else self.shape_iou(detection)
         self.shape_ious = [*self.shape_ious, iou][-SHAPE_SPAN:]
         if not detection.flow_known:
-            self._doubt_velocity(detection.centroid)
+            self._raise_velocity_variance(detection.centroid)
         self.kalman.correct(detection.centroid.reshape(2, 1))
         self._see(detection, detection.centroid)
 
-    def _doubt_velocity(self, centroid: Point) -> None:
-        """Take the velocity for less sure where a place is surprising and no flow tells it."""
+    def _raise_velocity_variance(self, centroid: Point) -> None:
+        """Raise the variance of the velocity where a place is surprising and no flow tells it."""
         uncertain = self.kalman.errorCovPre
         surprise = centroid - self.position
         usual = uncertain[:2, :2] + self.kalman.measurementNoiseCov
         if surprise @ np.linalg.solve(usual, surprise) > _SURPRISING**2:
             self.kalman.errorCovPre = uncertain + float(surprise @ surprise) * _ANY_VELOCITY
 
-    def correct_beside(self, detection: Detection, whole: Portrait, others: CroppedMask) -> None:
+    def correct_beside(
+        self, detection: Detection, whole: AppearanceModel, others: CroppedMask
+    ) -> None:
         """Take what is seen of it where others touch or hide it.
 
         Its place follows from where what is seen lies against what should be, the less surely the
@@ -262,11 +265,11 @@ class Track:
     @property
     def travelled(self) -> float:
         """Distance from where it was seen first, in pixels."""
-        return float(np.linalg.norm(self.position - self.birthplace))
+        return float(np.linalg.norm(self.position - self.start))
 
     @property
     def walked(self) -> float:
-        """Length of the way over its sightings, in pixels."""
+        """Path length over its sightings, in pixels."""
         return float(np.linalg.norm(np.diff(self.sightings, axis=0), axis=1).sum())
 
     def expected(self, ego_motion: Matrix, shape: tuple[int, int], frames: int = 1) -> Detection:
@@ -275,14 +278,14 @@ class Track:
         :param ego_motion: takes the last frame's pixels to the coming one's.
         :param frames: how many frames later that is.
         """
-        # The position has been carried along since the mask was last seen.
+        # The position has been propagated since the mask was last seen.
         x, y = self.position - self.seen_at + frames * np.asarray(self.velocity)
-        way = ego_motion @ translation(x, y)
-        outline = self.detection.outline.resampled(way, shape, cv2.INTER_NEAREST)
+        motion = ego_motion @ translation(x, y)
+        outline = self.detection.outline.resampled(motion, shape, cv2.INTER_NEAREST)
         return Detection(outline.box, outline.mask, self.velocity, moving=False)
 
     def observed(self, detection: Detection) -> Observation:
-        """Remember where it is now, and give what is known of it in this frame.
+        """Remember where it is now; return what is known of it in this frame.
 
         :param detection: what stands for it there.
         """
@@ -306,7 +309,7 @@ class Observation:
 
 
 class Tracker(Protocol):
-    """Gives the objects of one frame the identities they had in others."""
+    """Assigns to the objects of one frame the identities they had in others."""
 
     @property
     def delay(self) -> int:
@@ -331,7 +334,7 @@ class Tracker(Protocol):
     def travelled_outlines(
         self, ego_motion: Matrix, shape: tuple[int, int], frames: int
     ) -> list[CroppedMask]:
-        """Return where each object that has come half its size should be so many frames on.
+        """Return where each object that has travelled half its size should be so many frames on.
 
         :param ego_motion: takes the last frame's pixels to that one's, which is of some shape.
         """
@@ -347,7 +350,7 @@ class Tracker(Protocol):
         """
 
     def coast(self, ego_motion: Matrix, shape: tuple[int, int]) -> list[Observation]:
-        """Carry what was seen along into a frame of some shape in which nothing is looked for.
+        """Propagate what was seen to a frame of some shape in which nothing is looked for.
 
         :param ego_motion: takes the last frame's pixels to this one's.
         """
@@ -375,7 +378,7 @@ def joined(parts: Sequence[Detection]) -> Detection:
         box=box,
         mask=mask,
         moving=any(part.moving for part in parts),
-        cut_off=any(part.cut_off for part in parts),
+        truncated=any(part.truncated for part in parts),
         targets=frozenset[int]().union(*(part.targets for part in parts)),
     )
 
@@ -388,11 +391,13 @@ def _kalman_at(detection: Detection, tilt: float) -> cv2.KalmanFilter:
     # Objects change their velocity by about a tenth within a few frames.
     acceleration = (0.05 + 0.05 * speed) ** 2
     kalman.processNoiseCov = np.diag([0.0, 0.0, acceleration, acceleration])
-    wander = (1.0 + tilt) ** 2
-    kalman.measurementNoiseCov = np.diag([wander, wander])
+    measurement_variance = (1.0 + tilt) ** 2
+    kalman.measurementNoiseCov = np.diag([measurement_variance, measurement_variance])
     kalman.statePost = np.array([*detection.centroid, *detection.velocity]).reshape(4, 1)
-    doubt = (0.2 + 0.3 * speed) ** 2
+    velocity_variance = (0.2 + 0.3 * speed) ** 2
     if not detection.flow_known:
-        doubt = (_UNKNOWN_SPEED * float(np.hypot(*detection.box.shape))) ** 2
-    kalman.errorCovPost = np.diag([wander, wander, doubt, doubt])
+        velocity_variance = (_UNKNOWN_SPEED * float(np.hypot(*detection.box.shape))) ** 2
+    kalman.errorCovPost = np.diag(
+        [measurement_variance, measurement_variance, velocity_variance, velocity_variance]
+    )
     return kalman

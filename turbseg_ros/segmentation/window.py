@@ -135,7 +135,7 @@ class FrameWindow:
         """Whether the scene of a frame goes on until a later one."""
         return all(self._frames[k].continues for k in self._frames if source < k <= target)
 
-    def way(self, source: int, target: int) -> Matrix | None:
+    def transform_if_continuous(self, source: int, target: int) -> Matrix | None:
         """Return what takes a frame's processing pixels to a later one's; None across a cut.
 
         None as well where the frame isn't at hand.
