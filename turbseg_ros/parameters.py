@@ -315,7 +315,7 @@ class MotionParameters:
 
 @dataclass(frozen=True)
 class SeedParameters:
-    """Which windows of the motion map are surely moving."""
+    """Which windows of the motion map move significantly."""
 
     size: int = parameter(
         9,
@@ -341,9 +341,9 @@ class SeedParameters:
     )
     evidence: float = parameter(
         2.0,
-        "Least gain by which the pictures must bear a window's motion out: how much less a "
-        "neighbour differs along the flow than at rest, in units of the picture's noise. 0: not "
-        "asked.",
+        "Least gain by which the pictures must confirm a window's motion photometrically: how "
+        "much less a neighbour differs along the flow than at rest, in units of the picture's "
+        "noise. 0: not asked.",
         minimum=0.0,
         maximum=100.0,
     )
@@ -483,7 +483,7 @@ class TrackingParameters:
     false_alarms_per_hour: float = parameter(
         1.0,
         "How often what only shimmers may be taken for an object: the lower, the further "
-        "something must come against its own jitter and what its place moves by anyway.",
+        "something must travel against its own jitter and what its place moves by anyway.",
         unit="1/h",
         minimum=1e-6,
         maximum=1e6,
