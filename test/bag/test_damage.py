@@ -1,4 +1,4 @@
-"""Bags that were cut, spoilt or made to harm: what is whole is read, the rest is told."""
+"""Bags that were cut, damaged or made to harm: what is whole is read, the rest is told."""
 
 from __future__ import annotations
 

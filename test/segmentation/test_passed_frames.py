@@ -13,7 +13,7 @@ from support.drawn_scene import ByteImage, DrawnScene, jaccard, texture
 from support.segmenters import segmenter_by_rules
 from turbseg_ros.segmentation.condition import Condition
 from turbseg_ros.segmentation.frame import SegmentationResult
-from turbseg_ros.segmentation.passed_frames import PATIENCE
+from turbseg_ros.segmentation.passed_frames import MAX_PASSED
 
 SCENE = DrawnScene(velocity=(2, 0), start=(10, 36))
 CLIP = list(SCENE.images(40))
@@ -102,7 +102,7 @@ def test_a_damaged_frame_costs_no_sound_one(
     assert ids(results) == ids(undisturbed)
 
 
-@pytest.mark.parametrize("length", [1, 3, PATIENCE])
+@pytest.mark.parametrize("length", [1, 3, MAX_PASSED])
 @pytest.mark.parametrize("cover", BLINDNESS.values(), ids=BLINDNESS)
 def test_objects_live_through_what_hides_the_scene(
     cover: Callable[[int], ByteImage], length: int, undisturbed: list[SegmentationResult]
@@ -136,7 +136,7 @@ def test_a_frozen_camera_is_believed_in_the_end() -> None:
 
 def test_a_cut_is_one_only_when_the_old_scene_does_not_come_back() -> None:
     other = [255 - image for image in DrawnScene(velocity=(-2, 0), start=(120, 20)).images(40)]
-    for length in (3, PATIENCE):
+    for length in (3, MAX_PASSED):
         images = [*CLIP[:AT], *other[:length], *CLIP[AT + length :]]
         away = range(AT, AT + length)
         assert conditions(segmented(images)) == dict.fromkeys(away, Condition.BLIND)
@@ -185,5 +185,5 @@ def test_a_lens_that_stays_covered_keeps_nothing_waiting() -> None:
     answered = [len(segmenter.push(frame)) for frame in frames(images)]
     waiting = np.arange(1, len(images) + 1) - np.cumsum(answered)
     # The frames at the beginning, those whose condition is open, and those that are waited out.
-    assert max(waiting) <= PARAMETERS.latency.warm_up + 2 * (PATIENCE + 1)
+    assert max(waiting) <= PARAMETERS.latency.warm_up + 2 * (MAX_PASSED + 1)
     assert answered[-10:] == [1] * 10

@@ -205,7 +205,7 @@ class Probe:
         self.node.destroy_publisher(publisher)
 
     def call(self, service: str, service_type: type[Any], request: Any) -> Any:
-        """Call a service and give its response."""
+        """Call a service and return its response."""
         client = self.node.create_client(service_type, service)
         self.wait_for(client.service_is_ready, f"service {service}")
         future = client.call_async(request)

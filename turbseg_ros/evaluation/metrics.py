@@ -132,7 +132,7 @@ def true_components(truth: Labels) -> Labels:
 
 
 class PixelCounter:
-    """Counts the pixels of a sequence that are right, found in vain and missed, as CDnet does.
+    """Counts a sequence's true positive, false positive and false negative pixels, as CDnet does.
 
     Goyette et al., "Changedetection.net: A new change detection benchmark dataset", CVPRW 2012.
     """

@@ -165,7 +165,7 @@ class Player(Node):  # type: ignore[misc]  # rclpy is read as untyped
     def wait_for_subscribers(self, count: int, timeout: float) -> list[str]:
         """Wait until each topic of images has `count` subscribers, `timeout` seconds at most.
 
-        Ground truth needs none. Give the topics that still have fewer.
+        Ground truth needs none. Return the topics that still have fewer.
         """
         deadline = time.monotonic() + timeout
         images = [topic.name for topic in self._topics if topic.has_images and not topic.is_truth]

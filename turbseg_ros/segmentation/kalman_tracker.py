@@ -45,7 +45,7 @@ _SHARED_TILT = 0.35
 # Times what is usual by which a track's place jitters when it flickers, the least tilt in pixels
 # that counts there, and times as often that it must be seen then to become an object.
 _FLICKER, _MIN_TILT, _FLICKER_HITS = 2.0, 0.2, 2
-# Share of its size that an object must have travelled to be surely no clutter.
+# Share of its size that an object must have travelled to be certainly no clutter.
 _TRAVELLED = 0.5
 # Least displacement of what no flow shows to move, in roots of its area, and over its path
 # length.

@@ -16,7 +16,7 @@ from turbseg_ros.segmentation.frame import Frame, SegmentationResult
 from turbseg_ros.segmentation.load import Load
 from turbseg_ros.segmentation.observer import StageObserver
 from turbseg_ros.segmentation.passed_frames import (
-    PATIENCE,
+    MAX_PASSED,
     DoubtfulFrames,
     ReadyFrame,
     WaitingFrame,
@@ -148,7 +148,7 @@ class MotionSegmenter:
         return results if self._stream is None else results + self._stream.finish(load)
 
     def _take_in(self, load: Callable[[], Load]) -> list[SegmentationResult]:
-        """Let the frame that was prepared join the others; after a cut, give what was before."""
+        """Let the frame that was prepared join the others; after a cut, return what was before."""
         return [] if self._stream is None else self._join(self._stream.take_in(), load)
 
     def _join(
@@ -225,7 +225,7 @@ class _Stream:
         if finished is None:
             return []
         frame, prepared = finished
-        if prepared.condition is not Condition.SOUND and self._passed <= PATIENCE:
+        if prepared.condition is not Condition.SOUND and self._passed <= MAX_PASSED:
             self._preparer.forget_tone()
         return self._doubtful.take(ReadyFrame(frame.kept(), prepared))
 
@@ -247,7 +247,7 @@ class _Stream:
         """Segment what can be, as the load permits; return the results that are settled."""
         for _ in range(load.frames_at_once):
             # What shows nothing for long is answered, and nothing waits for its end.
-            index = self._pipeline.window.pop_ready(ended=self._passed > PATIENCE)
+            index = self._pipeline.window.pop_ready(ended=self._passed > MAX_PASSED)
             if index is None:
                 break
             self._segment(index, load)
@@ -289,7 +289,7 @@ class _Stream:
         """
         if kept:
             passed = sum(pending.condition.is_passed_over for pending in self._pending)
-            kept += min(passed, PATIENCE)
+            kept += min(passed, MAX_PASSED)
         results = []
         while len(self._pending) > kept:
             with self._observer.stage("labels"):

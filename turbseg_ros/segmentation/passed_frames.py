@@ -22,7 +22,7 @@ from turbseg_ros.segmentation.preparation import PreparedFrame
 from turbseg_ros.segmentation.registration import register
 from turbseg_ros.segmentation.track import Observation, Tracker
 
-PATIENCE = 8
+MAX_PASSED = 8
 """Frames for which the old scene may be away, or nothing be said, before that is taken to last."""
 
 # A part of the picture that stays away for longer is no damage: something large came before it.
@@ -81,7 +81,7 @@ class DoubtfulFrames:
     """Takes frames as they come and gives each back, in order, once its condition is settled.
 
     Those that are sound by then join the window, the first one that is a cut begins another with
-    those after it, the others are passed over. It holds no more than `PATIENCE` frames and one.
+    those after it, the others are passed over. It holds no more than `MAX_PASSED` frames and one.
 
     :param causal: whether each frame is to be answered at once: one that is passed over stays so.
     """
@@ -100,12 +100,12 @@ class DoubtfulFrames:
         if is_repeated or ready.condition is Condition.SOUND:
             return [*self._release(), ready]
         self._hold(ready)
-        lasting = self._new_scene(PATIENCE + 1) or self._changed_scene(_PARTLY_AWAY + 1)
+        lasting = self._new_scene(MAX_PASSED + 1) or self._changed_scene(_PARTLY_AWAY + 1)
         if lasting:
             return lasting
         if self._causal:
             return [ready]
-        if len(self._held) > PATIENCE:
+        if len(self._held) > MAX_PASSED:
             return [self._held.pop(0).ready]
         return []
 
@@ -119,7 +119,7 @@ class DoubtfulFrames:
         self._held.append(_Held(ready, None if found is None else found.motion))
         if self._causal:
             # They are answered already.
-            del self._held[: -PATIENCE - 1]
+            del self._held[: -MAX_PASSED - 1]
 
     def _release(self) -> list[ReadyFrame]:
         """Give out what is held as what it seemed to be."""
@@ -201,7 +201,7 @@ def passed_over(
     frame, condition, resolution = ready.frame, ready.condition, last.resolution
     shape = resolution.detail_shape
     camera = last.camera.lost() if condition is Condition.BLIND else last.camera
-    if condition is Condition.BLIND and in_a_row > PATIENCE:
+    if condition is Condition.BLIND and in_a_row > MAX_PASSED:
         nothing = np.broadcast_to(np.zeros((), np.uint8), (*shape, 1))
         tracker.update([], np.eye(3), 0.0, nothing)
         return PendingResult(frame, resolution, camera, regions=last.regions, condition=condition)

@@ -49,7 +49,7 @@ class OverlayMemory:
         aligned: Mapping[int, ByteImage],
         transforms: Mapping[int, Matrix],
     ) -> Mask:
-        """Compare a frame with its neighbours; give the cells that stand still, hxw.
+        """Compare a frame with its neighbours; return the cells that stand still, hxw.
 
         :param neighbours: {k: HxW grey image of frame t+k as it came}.
         :param aligned: {k: the same, as frame t would show it}.
