@@ -16,11 +16,14 @@ from support.drawn_footage import DrawnFootage
 
 pytest.importorskip("torch", reason="torch is not installed: make test-learning")
 
+from safetensors.torch import load_file
+
 from turbseg_ros.cli import train as cli
 from turbseg_ros.cli.train import Lessons, main
 from turbseg_ros.learning import training
 from turbseg_ros.learning.composites import shown_clip
 from turbseg_ros.learning.examples import Examples
+from turbseg_ros.learning.export import write_weights
 from turbseg_ros.learning.refine_net import RefineNet
 from turbseg_ros.learning.training import HeldOut
 from turbseg_ros.learning.window_input import CHANNELS, SIDE
@@ -91,6 +94,25 @@ def test_folders_that_hold_no_footage_are_refused_in_one_line(
         assert main(command) == 2
         said = capsys.readouterr().err
         assert said == f"turbseg_train: {empty} holds no pictures, videos or sequences\n"
+
+
+def test_a_share_of_the_start_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*ARGUMENTS, "-o", str(tmp_path / "weights"), "--keep", "0.5"]) == 2
+    assert "--start" in capsys.readouterr().err
+    start = tmp_path / "start.safetensors"
+    write_weights(RefineNet(len(CHANNELS)), start)
+    command = [*ARGUMENTS, "-o", str(tmp_path / "weights"), "--start", str(start)]
+    assert main([*command, "--keep", "0.75"]) == 128 + signal.SIGTERM
+    assert "with a share of 0.75 kept" in capsys.readouterr().out
+    record = json.loads((tmp_path / "weights" / "training.json").read_text())
+    assert "--keep 0.75" in record["command"]
+    kept, written = (
+        load_file(path) for path in (start, tmp_path / "weights" / "refine_net.safetensors")
+    )
+    fresh = {name: (written[name] - 0.75 * kept[name]) / 0.25 for name in kept}
+    # The stand-in for training gives a new network, whose means are all 0.
+    assert float(fresh["first.1.running_mean"].abs().max()) < 1e-6
+    assert float(fresh["judge.weight"].abs().max()) > 0
 
 
 def test_a_start_that_is_no_network_is_refused_in_one_line(

@@ -27,6 +27,7 @@ from turbseg_ros.learning.export import write_onnx  # noqa: E402
 from turbseg_ros.learning.refine_net import RefineNet  # noqa: E402
 from turbseg_ros.learning.training import (  # noqa: E402
     augmented,
+    blended,
     held_out_scores,
     loss_of,
     train,
@@ -107,6 +108,16 @@ def test_training_is_repeatable(lessons: Examples) -> None:
     assert first == second
     for one, two in zip(net.state_dict().values(), other.state_dict().values(), strict=True):
         assert torch.equal(one, two)
+
+
+def test_a_blend_lies_between_two_networks() -> None:
+    torch.manual_seed(6)
+    one, other = RefineNet(3), RefineNet(3)
+    between = blended(one, other, 0.25)
+    for name, value in between.state_dict().items():
+        expected = 0.25 * one.state_dict()[name] + 0.75 * other.state_dict()[name]
+        torch.testing.assert_close(value, expected.to(value.dtype))
+    assert between is not other
 
 
 def test_opencv_gives_what_torch_gives(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import json
 import shlex
 import sys
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
@@ -36,6 +36,7 @@ from turbseg_ros.parameters import Parameters
 from turbseg_ros.worker_pool import WorkerPool
 
 if TYPE_CHECKING:
+    from turbseg_ros.learning.refine_net import RefineNet
     from turbseg_ros.learning.training import HeldOut
 
 # Every so many drawn scenes, one is held out from training.
@@ -117,6 +118,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     check_new(options.out)
     if options.scenes < 2:
         raise UsageError(f"--scenes {options.scenes}: give 2 or more, for some are held out")
+    if options.keep and options.start is None:
+        raise UsageError("--keep is a share of the network that --start names; give one")
     if options.windows is not None:
         check_folder(options.windows)
     options.out.parent.mkdir(parents=True, exist_ok=True)
@@ -198,7 +201,7 @@ def _train(
 ) -> dict[str, Any]:
     """Train until stopped, show how it goes, and write the network; return the record of it."""
     from turbseg_ros.learning.export import read_weights, write_onnx, write_weights
-    from turbseg_ros.learning.training import held_out_scores, train
+    from turbseg_ros.learning.training import blended, train
 
     every = max(options.steps // _REPORTS, 1)
     curve: list[dict[str, float]] = []
@@ -207,41 +210,50 @@ def _train(
         lessons.trained_on, options.seed, options.steps, report_every=every, start=start
     )
     for number, (loss, net) in enumerate(reports, start=1):
-        scores = held_out_scores(net, lessons.held_out)
+        scores = _scores(net, lessons)
         step = min(number * every, options.steps)
-        point = {"step": step, "loss": round(loss, 4), "held_out_j": round(scores.j, 4)}
-        told = f"step {step:5}  loss {loss:.3f}  held-out J {_told(scores)}"
-        seen = held_out_scores(net, lessons.footage) if len(lessons.footage) else None
-        if seen is not None:
-            point["footage_j"] = round(seen.j, 4)
-            told += f"; footage J {_told(seen)}"
-        curve.append(point)
-        print(told, flush=True)
+        points = {f"{name}_j": round(each.j, 4) for name, each in scores.items()}
+        curve.append({"step": step, "loss": round(loss, 4), **points})
+        print(f"step {step:5}  loss {loss:.3f}  {_told(scores)}", flush=True)
         if stop.received and step < options.steps:
             stop.cut = True
             break
+    if options.keep:
+        net = blended(read_weights(options.start), net, options.keep)
+        scores = _scores(net, lessons)
+        print(f"with a share of {options.keep:g} kept  {_told(scores)}", flush=True)
     partial = {"partial": interrupted_after(step, options.steps, "steps")} if stop.cut else {}
     write_onnx(net, folder / "refine_net.onnx")
     write_weights(net, folder / "refine_net.safetensors")
     return {
         "windows": len(lessons.trained_on),
-        "held_out": dataclasses.asdict(scores),
-        **({"footage": dataclasses.asdict(seen)} if seen is not None else {}),
+        **{name: dataclasses.asdict(each) for name, each in scores.items()},
         "curve": curve,
         **partial,
     }
 
 
-def _told(scores: HeldOut) -> str:
-    return (
-        f"{scores.j:.3f}, by rules {scores.j_ruled:.3f}  alarms {scores.alarms:.2f}, by rules"
-        f" {scores.alarms_ruled:.2f}"
+def _scores(net: RefineNet, lessons: Lessons) -> dict[str, HeldOut]:
+    """Score a network on what it doesn't learn from, by the names that the record has."""
+    from turbseg_ros.learning.training import held_out_scores
+
+    kinds = {"held_out": lessons.held_out, "footage": lessons.footage}
+    return {name: held_out_scores(net, each) for name, each in kinds.items() if len(each)}
+
+
+def _told(scores: Mapping[str, HeldOut]) -> str:
+    return "; ".join(
+        f"{name.replace('_', '-')} J {each.j:.3f}, by rules {each.j_ruled:.3f}"
+        f"  alarms {each.alarms:.2f}, by rules {each.alarms_ruled:.2f}"
+        for name, each in scores.items()
     )
 
 
 def _command(options: argparse.Namespace) -> str:
     """Return the command line, with the names of folders and files but not where they lie."""
     names = ["first_scene", "scenes", "frames", "every", "steps", "seed"]
+    if options.keep:
+        names += ["keep"]
     if options.backgrounds or options.objects:
         names += ["first_composite", "composites"]
     said = ["turbseg_train"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -163,6 +164,22 @@ def probabilities(net: RefineNet, examples: Examples) -> npt.NDArray[np.float32]
         batches = torch.from_numpy(examples.inputs).split(32)
         judged = [torch.sigmoid(net(batch.float()))[:, 0].numpy() for batch in batches]
     return np.concatenate(judged)
+
+
+def blended(one: RefineNet, other: RefineNet, share: float) -> RefineNet:
+    """Return a network between two, of which one was trained further from the other.
+
+    Between what each does best lies one that does both nearly as well (Wortsman et al. 2022,
+    "Robust fine-tuning of zero-shot models").
+
+    :param share: of the first, from 0 to 1.
+    """
+    between = copy.deepcopy(other)
+    first, second = one.state_dict(), other.state_dict()
+    between.load_state_dict(
+        {name: share * first[name] + (1.0 - share) * second[name] for name in second}
+    )
+    return between
 
 
 def _mean(values: npt.NDArray[Any]) -> float:

@@ -16,6 +16,14 @@ def _count(text: str) -> int:
     return value
 
 
+def _share(text: str) -> float:
+    """Read a share, from 0 to less than 1."""
+    value = float(text)
+    if not 0 <= value < 1:
+        raise argparse.ArgumentTypeError(f"{text} is not from 0 to less than 1")
+    return value
+
+
 def build_parser() -> argparse.ArgumentParser:
     """Return the parser of its arguments."""
     parser = command_parser(
@@ -62,6 +70,14 @@ def build_parser() -> argparse.ArgumentParser:
         type=Path,
         metavar="FILE",
         help="go on from a network's refine_net.safetensors (default: from nothing)",
+    )
+    parser.add_argument(
+        "--keep",
+        type=_share,
+        default=0.0,
+        metavar="SHARE",
+        help="of --start's network in the one that is written (%(default)s): less of what it "
+        "knew is lost",
     )
     _add_footage(parser)
     return parser
