@@ -285,8 +285,14 @@ class ComponentSegmenter:
         large[0] = False
         ids = np.cumsum(large, dtype=np.uint16) * large
         labels = ids[components]
+        # Looked for within their boxes: there may be hundreds of them in a large picture.
         objects = tuple(
-            MovingObject.from_mask(labels == number, int(number)) for number in ids[large]
+            MovingObject.from_mask(
+                labels[y : y + height, x : x + width] == number, int(number), origin=(x, y)
+            )
+            for number, (x, y, width, height) in zip(
+                ids[large], statistics[large, : cv2.CC_STAT_AREA].tolist(), strict=True
+            )
         )
         return [replace(SegmentationResult.empty(frame), labels=labels, objects=objects)]
 
