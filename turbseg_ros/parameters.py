@@ -579,6 +579,15 @@ class Parameters:
         read_only=True,
         node_only=True,
     )
+    idle_after: float = parameter(
+        60.0,
+        "How long nobody may listen to any result before the node stands by, at no cost, until "
+        "somebody does; 0: it works for nobody, too.",
+        unit="s",
+        minimum=0.0,
+        maximum=86400.0,
+        node_only=True,
+    )
     queue_size: int = parameter(
         10,
         "Images that may wait to be segmented; when more do, the oldest are dropped and counted.",

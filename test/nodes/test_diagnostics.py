@@ -48,6 +48,7 @@ def status(report, **changes):
     state = {
         "topic": "/image_raw",
         "enabled": True,
+        "idle": False,
         "publishers": 1,
         "mismatch": "",
         "reliability": "reliable",
@@ -282,6 +283,13 @@ def test_a_disabled_node_is_well(statistics, clock):
     message = status(statistics.take(), enabled=False)
     assert message.level == DiagnosticStatus.OK
     assert message.message == "disabled"
+
+
+def test_a_node_to_which_nobody_listens_is_well(statistics, clock):
+    clock.time += 10.0
+    message = status(statistics.take(), idle=True)
+    assert message.level == DiagnosticStatus.OK
+    assert message.message == "idle: nobody listens to results"
 
 
 @pytest.mark.parametrize("camera", [CameraState.SLEWING, CameraState.LOST])

@@ -185,6 +185,26 @@ def test_a_node_on_stand_by_hears_nothing_until_it_is_enabled(tmp_path, probe):
         assert node.stop(signal.SIGINT) == 0
 
 
+def test_a_node_hears_images_again_once_somebody_listens_to_results(tmp_path, probe):
+    lens = "/lazy_lens/image_raw"
+    remapping = ("-r", "__ns:=/lazy", "-r", f"image_raw:={lens}")
+    with stub_node(tmp_path / "output", *remapping, "-p", "idle_after:=0.5") as node:
+        diagnostics = probe.listen("/diagnostics", DiagnosticArray)
+        probe.wait_for(lambda: lines(node, "idle: nobody has listened"), "it to stand by")
+        probe.wait_for(lambda: not probe.node.count_subscribers(lens), "its subscription to go")
+        probe.wait_for(
+            lambda: diagnostics and "nobody listens" in diagnostics[-1].status[0].message,
+            "diagnostics to tell it",
+        )
+        assert diagnostics[-1].status[0].level == DiagnosticStatus.OK
+        centroids = probe.listen("/lazy/turbseg/centroids", MarkerArray)
+        probe.wait_for(lambda: probe.node.count_subscribers(lens), "it to listen again")
+        camera = Camera(probe, lens, rate=30.0)
+        send_until(probe, camera, lambda: answered(centroids))
+        assert node.stop(signal.SIGINT) == 0
+    assert len(lines(node, "listening to")) == 2
+
+
 def test_what_cannot_be_had_is_told_when_a_node_is_enabled(tmp_path, probe):
     command = (sys.executable, "-m", "turbseg_ros.cli", "node")
     arguments = ("-r", "__ns:=/lacks", "-p", "enabled:=false", "-p", "flow.backend:=no_such:Flow")

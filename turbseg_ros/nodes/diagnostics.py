@@ -152,6 +152,7 @@ class Statistics:
 class NodeState:
     """How the node stands.
 
+    While it is `enabled`, it is `idle` when it hears no images since nobody listens to results.
     `publishers` and `reliability` are those of its image topic; `mismatch` tells what other type
     it carries, if it does. `pause_timeout` is the silence, in seconds, after which the input
     counts as stale. `limits` are what the user asks for. `has_time` is False while the node waits
@@ -161,6 +162,7 @@ class NodeState:
 
     topic: str
     enabled: bool
+    idle: bool
     publishers: int
     mismatch: str
     reliability: str
@@ -190,6 +192,9 @@ def _findings(report: Report, state: NodeState) -> Iterator[tuple[bytes, str]]:
     ok, warn, error = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
     if not state.enabled:
         yield ok, "disabled"
+        return
+    if state.idle:
+        yield ok, "idle: nobody listens to results"
         return
     if not report.totals[Event.RECEIVED]:
         yield (

@@ -77,6 +77,11 @@ class ResultPublisher:
         return True
 
     @property
+    def listened(self) -> bool:
+        """Whether someone listens to any result."""
+        return any(publisher.get_subscription_count() for _, publisher in self._publishers)
+
+    @property
     def image_wanted(self) -> bool:
         """Whether someone listens to what shows a frame's image."""
         return any(

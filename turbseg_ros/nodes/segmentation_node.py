@@ -19,6 +19,7 @@ from turbseg_ros.factory import motion_segmenter
 from turbseg_ros.messages.events import EventMessages, EventWatch
 from turbseg_ros.messages.images import frame_from_serialised
 from turbseg_ros.messages.results import CentroidMarkers, outputs, views
+from turbseg_ros.nodes.demand import Demand
 from turbseg_ros.nodes.diagnostics import Event, NodeState, Report, Statistics, status_message
 from turbseg_ros.nodes.operator_log import (
     EventLog,
@@ -57,8 +58,9 @@ class TurbsegNode(ReceivingNode):
     """Segments what really moves before a camera that looks through turbulent air.
 
     Subscribes to `image_raw` and, if there is one, `camera_info`; publishes results below its
-    own name and `/diagnostics`; serves `~/reset` and `~/enable`. While it is disabled it
-    subscribes to nothing, and before it is enabled for the first time it has no segmenter.
+    own name and `/diagnostics`; serves `~/reset` and `~/enable`. While it is disabled, or nobody
+    has listened to results for a while, it subscribes to nothing, and before it is enabled for
+    the first time it has no segmenter.
     Callbacks only take note: images are received in one thread and segmented in another, which
     `destroy_node` ends.
 
@@ -90,6 +92,8 @@ class TurbsegNode(ReceivingNode):
         )
         self._input_watch = InputWatch(self.get_logger())
         self._awaits_first_image = True
+        self._enabled = parameters.enabled
+        self._demand = Demand()
         self._work: _Work | None = None
         self._taker = MessageTaker(self)
         self._images: MatchingSubscription | None = None
@@ -100,11 +104,11 @@ class TurbsegNode(ReceivingNode):
         # These go on when the time of /clock stands still.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_DIAGNOSTICS_PERIOD, self._publish_diagnostics, clock=steady)
-        self.create_timer(_MATCH_PERIOD, self._match_publishers, clock=steady)
+        self.create_timer(_MATCH_PERIOD, self._look_around, clock=steady)
         self._clock_jumps = self.get_clock().create_jump_callback(
             _CLOCK_JUMP, post_callback=self._on_clock_jump
         )
-        if parameters.enabled:
+        if self._enabled:
             self._listen()
         else:
             self.get_logger().info("disabled: no image is heard until ~/enable is called")
@@ -141,6 +145,17 @@ class TurbsegNode(ReceivingNode):
             for qos in (qos_profile_sensor_data, _LATCHED)
         ]
         self._tell_what_is_heard(self._images, self._work)
+
+    def _stop_listening(self) -> None:
+        """Leave nothing to receive, so that standing by costs no network either."""
+        if self._images is not None:
+            self._images.destroy()
+            self._images = None
+        for subscription in self._camera_info:
+            self.destroy_subscription(subscription)
+        self._camera_info = []
+        if self._work is not None:
+            self._work.worker.end_stream()
 
     def _started_work(self) -> _Work:
         parameters = self._parameter_handler.current
@@ -230,38 +245,52 @@ class TurbsegNode(ReceivingNode):
         return response
 
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        if request.data and self._images is None:
-            self._statistics.expect_images()
+        if request.data and not self._enabled:
             self._awaits_first_image = True
             try:
-                self._listen()
+                self._resume()
             except ParameterError as error:
                 self.get_logger().error(f"not enabled: {error}")
                 response.success, response.message = False, str(error)
                 return response
+            self._enabled = True
             self.get_logger().info("enabled")
-        elif not request.data and self._images is not None:
-            # Nothing is left to receive, so a disabled node costs no network either.
-            self._images.destroy()
-            self._images = None
-            for subscription in self._camera_info:
-                self.destroy_subscription(subscription)
-            self._camera_info = []
-            if self._work is not None:
-                self._work.worker.end_stream()
+        elif not request.data and self._enabled:
+            self._enabled = False
+            self._stop_listening()
             self.get_logger().info("disabled: no image is heard until ~/enable is called again")
         response.success = True
         response.message = "enabled" if request.data else "disabled"
         return response
+
+    def _resume(self) -> None:
+        self._demand.renew()
+        self._statistics.expect_images()
+        self._listen()
 
     def _on_clock_jump(self, jump: TimeJump) -> None:
         # Cameras need not follow /clock, and images from before the jump may still wait: their
         # stamps tell when the stream really begins anew.
         self.get_logger().info(f"/clock jumped by {jump.delta.nanoseconds / 1e9:.3f} s")
 
-    def _match_publishers(self) -> None:
+    def _look_around(self) -> None:
+        """Follow what publishers offer, and whether anybody listens."""
+        if self._enabled:
+            self._heed_listeners()
         if self._images is not None:
             self._images.match()
+
+    def _heed_listeners(self) -> None:
+        patience = self._parameter_handler.current.idle_after
+        wanted = self._demand.lasts(self._results.listened, patience)
+        if wanted and self._images is None:
+            self._resume()
+        elif not wanted and self._images is not None:
+            self._stop_listening()
+            self.get_logger().info(
+                f"idle: nobody has listened to results for {patience:g} s, so no image is heard "
+                "until somebody does (idle_after:=0 to go on all the same)"
+            )
 
     def _publish_diagnostics(self) -> None:
         message = DiagnosticArray()
@@ -303,7 +332,8 @@ class TurbsegNode(ReceivingNode):
         work = self._work
         return NodeState(
             topic=images.topic if images else "",
-            enabled=images is not None,
+            enabled=self._enabled,
+            idle=self._enabled and images is None,
             publishers=images.publisher_count if images else 0,
             mismatch=(
                 mismatch_text(images.topic, images.type_name, sorted(set(images.published_types)))

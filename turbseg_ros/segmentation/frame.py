@@ -130,7 +130,7 @@ class SegmentationResult:
     pixels a frame (of the input image) a place is known to move without anything being there; None
     while nothing is known. `coasted` tells that its objects coasted under load: propagated, not
     looked for. `regions` is what its user marked in the picture, None where that is not known.
-    looked for. `condition` tells what the frame was like: one that is damaged, blind or repeated
+    `condition` tells what the frame was like: one that is damaged, blind or repeated
     is answered with what was known before it, and has no say in other frames' results.
     """
 
