@@ -7,16 +7,20 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
+from typing import cast
 
 import cv2
 import pytest
 
 from support.drawn_bag import write_drawn_bag
 from turbseg_ros.bag.reader import BagReader
+from turbseg_ros.bag.topics import LABELS_TOPIC
 from turbseg_ros.cli import demo, processes
 from turbseg_ros.cli.processes import ProcessError, child_process, executable_process
+from turbseg_ros.nodes.recorder import Recorder
 
 Start = Callable[..., subprocess.Popen[str]]
 
@@ -96,6 +100,28 @@ def test_every_frame_is_answered_scored_and_drawn(start: Start, out: Path) -> No
     assert (scores["frames"], scores["scored_frames"]) == (FRAMES, FRAMES)
     assert f"{scores['j']:.3f}" in printed
     assert cv2.imread(str(out / "overlay.png")) is not None
+
+
+class RecorderOf:
+    """A recorder that gets one message after the other, told by their topics."""
+
+    def __init__(self, coming: Iterable[str]) -> None:
+        self._coming = iter(coming)
+        self._received: Counter[str] = Counter()
+
+    def step(self) -> None:
+        self._received[next(self._coming)] += 1
+
+    def received(self, topic: str) -> int:
+        return self._received[topic]
+
+
+def test_messages_that_take_marks_away_stand_for_no_frame() -> None:
+    markers, labels = "/turbseg/centroids", LABELS_TOPIC
+    late = [markers] * (FRAMES + 1) + [labels] * FRAMES
+    recorder = RecorderOf(late)
+    demo._await_results(cast(Recorder, recorder), [markers, labels], FRAMES, recorder.step)
+    assert recorder.received(labels) == FRAMES
 
 
 @pytest.mark.timeout(180)

@@ -197,10 +197,13 @@ def _await_publishers(recorder: Recorder, step: Callable[[], None]) -> None:
 def _await_results(
     recorder: Recorder, topics: Collection[str], frames: int, step: Callable[[], None]
 ) -> None:
-    """Record until every topic has a message for each frame, or nothing comes any more."""
+    """Record until every topic has a message for each frame, or nothing comes any more.
+
+    Each for itself: when the stream pauses, some have one more, which takes the last marks away.
+    """
     received, quiet_since = 0, time.monotonic()
     with tqdm(total=frames, unit="frame", leave=False, disable=None) as progress:
-        while received < frames * len(topics):
+        while any(recorder.received(topic) < frames for topic in topics):
             step()
             now_received = sum(map(recorder.received, topics))
             if now_received > received:
