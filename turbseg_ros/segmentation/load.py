@@ -1,13 +1,21 @@
-"""What is given up, and in which order, while frames wait to be segmented."""
+"""What is given up, and in which order, while frames wait to be segmented.
+
+Frames wait in two places: in the window, for later ones, and before it. A stream's first frames
+pile up in the window on purpose, and are worked off beside those that come; that some wait
+before it meanwhile tells nothing of how fast the machine is.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from turbseg_ros.parameters import LatencyParameters
+from turbseg_ros.parameters import Parameters
 
 # Frames segmented for each that comes while some have piled up in the window.
 _CATCH_UP = 2
+# Share of the frames that may wait before the window that may do so at no price while others have
+# piled up in it; the rest is room in which shedding load keeps them from being dropped.
+_PATIENCE = 1 / 3
 
 
 @dataclass(frozen=True)
@@ -24,11 +32,15 @@ class Load:
     frames_at_once: int = _CATCH_UP
 
     @classmethod
-    def of(cls, waiting: int, latency: LatencyParameters) -> Load:
-        """Return what is given up while so many frames wait."""
-        coasts = waiting >= latency.coast_from
-        return cls(
-            coasts=coasts,
-            sparse_motion=waiting >= latency.sparse_from,
-            frames_at_once=1 if coasts and waiting else _CATCH_UP,
-        )
+    def of(cls, waiting: int, parameters: Parameters, piled_up: int = 0) -> Load:
+        """Return what is given up while so many frames wait.
+
+        :param waiting: frames before the window.
+        :param piled_up: frames in the window that could have been segmented earlier.
+        """
+        latency = parameters.latency
+        excess = max(waiting - min(piled_up, int(_PATIENCE * parameters.queue_size)), 0)
+        coasts, sparse = excess >= latency.coast_from, excess >= latency.sparse_from
+        # What is outlined costs too much to catch up while others wait; what coasts does not.
+        hurries = coasts and not sparse
+        return cls(coasts, sparse, 1 if waiting and not hurries else _CATCH_UP)

@@ -120,7 +120,7 @@ class MotionSegmenter:
         :param waiting: frames that wait to be pushed after it. Where there are as many as the
             parameters say, it is done sooner and less exactly; see `Load`.
         """
-        load = Load.of(waiting, self._parameters.latency)
+        load = Load.of(waiting, self._parameters)
         results = []
         if self._stream is not None and not self._stream.takes(frame):
             results = self.flush(lambda: waiting)
@@ -130,7 +130,8 @@ class MotionSegmenter:
         stream.prepare(frame)
         if self._parameters.is_causal:
             results += self._take_in(lambda: load)
-        return results + (self._stream or stream).advance(load)
+        stream = self._stream or stream
+        return results + stream.advance(Load.of(waiting, self._parameters, stream.piled_up))
 
     def flush(self, waiting: Callable[[], int] = lambda: 0) -> list[SegmentationResult]:
         """Return the results of all frames that have none yet; `reset` begins another stream.
@@ -140,7 +141,7 @@ class MotionSegmenter:
         """
 
         def load() -> Load:
-            return Load.of(waiting(), self._parameters.latency)
+            return Load.of(waiting(), self._parameters)
 
         results = self._take_in(load)
         if self._stream is not None:
@@ -209,6 +210,11 @@ class _Stream:
         self._passed, self._unseen = 0, 0
         self._pending: deque[PendingResult] = deque()
         self._last: PendingResult | None = None
+
+    @property
+    def piled_up(self) -> int:
+        """Frames that can be segmented now but for the one that is due."""
+        return self._pipeline.window.piled_up
 
     def takes(self, frame: Frame) -> bool:
         """Whether a frame goes on where those before stopped, in their size and type."""

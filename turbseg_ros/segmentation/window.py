@@ -97,6 +97,11 @@ class FrameWindow:
         """How many frames have come."""
         return self._count
 
+    @property
+    def piled_up(self) -> int:
+        """How many frames can be segmented beside the one that the newest makes ready."""
+        return max(self._count - self._next_centre - self._look_ahead - 1, 0)
+
     def append(self, prepared: PreparedFrame) -> None:
         """Take the next frame."""
         self._frames[prepared.index] = prepared
