@@ -20,6 +20,7 @@ from turbseg_ros import __version__
 EXTRAS = {
     *("av", "distributed", "jinja2", "lz4", "mcap", "pyarrow", "rosbags", "zstandard"),
     *("onnx", "onnxscript", "safetensors", "torch", "torchvision", "vision_msgs"),
+    "foxglove_msgs",
 }
 MANIFEST = ElementTree.parse(ROOT / "package.xml").getroot()
 CITATION = yaml.safe_load((ROOT / "CITATION.cff").read_text())

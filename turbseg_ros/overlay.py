@@ -43,6 +43,8 @@ _INCLUDED: Colour = (90, 220, 90)
 _WIDTH_PER_PIXEL = 480.0
 # From one dot of a trail to the next, and a dot's radius, in widths of an outline.
 _DOT_STEP, _DOT_RADIUS = 4.0, 0.5
+# Outlines for viewers are let off corners that stand out less than this, in pixels.
+_OUTLINE_TOLERANCE = 0.5
 # Length of a broken line's pieces, in pixels of the canvas.
 _DASH = 6.0
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
@@ -66,6 +68,16 @@ def outlines(
     mask = (window == moving_object.label).view(np.uint8)
     contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE, offset=(x, y))
     return [contour.reshape(-1, 2) for contour in contours]
+
+
+def simplified_outlines(
+    labels: npt.NDArray[np.uint16], moving_object: MovingObject
+) -> list[npt.NDArray[np.int32]]:
+    """Return `outlines` without the corners that hardly stand out."""
+    return [
+        cv2.approxPolyDP(contour, _OUTLINE_TOLERANCE, True).reshape(-1, 2)
+        for contour in outlines(labels, moving_object)
+    ]
 
 
 @dataclass(frozen=True)

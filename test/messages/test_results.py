@@ -139,6 +139,10 @@ def test_all_messages_carry_the_frame_header() -> None:
             if output.name == "events":
                 assert message.hardware_id == result.frame.frame_id
                 continue
+            if output.name == "image_annotations":
+                stamp = FieldReader(memoryview(message))
+                assert (stamp.number("i"), stamp.number("I")) == divmod(STAMP, 10**9)
+                continue
             if output.name == "detections":
                 header = FieldReader(memoryview(message)).header()
                 assert header == header_of(result.frame)

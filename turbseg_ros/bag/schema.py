@@ -14,8 +14,14 @@ from pathlib import Path
 from typing import Any
 
 from turbseg_ros.bag.errors import BagError
-from turbseg_ros.messages import detections
+from turbseg_ros.messages import detections, image_annotations
 
+# Types that are known whether their packages are installed or not: the definitions of each and
+# of what it is made of, what these need of other packages, and its hash.
+_CARRIED = {
+    module.TYPE_NAME: (module.DEFINITIONS, module.DEPENDENCIES, module.TYPE_HASH)
+    for module in (detections, image_annotations)
+}
 # How a definition's dependencies are set apart in the ros2msg schema encoding,
 # https://mcap.dev/spec/registry#ros2msg
 _DEPENDENCY_HEADING = "=" * 80 + "\nMSG: "
@@ -44,12 +50,14 @@ class MessageDefinition:
 def message_definition(type_name: str) -> MessageDefinition:
     """Return the definition of `type_name`, such as `sensor_msgs/msg/Image`.
 
-    That of boxes is known whether its package is installed or not.
+    Those of `detections` and `image_annotations` are known without their packages.
 
     :raises BagError: when no installed package has that type.
     """
-    if type_name == detections.TYPE_NAME and not is_installed(type_name):
-        return _definition_of_boxes()
+    if type_name in _CARRIED and not is_installed(type_name):
+        definitions, needed, type_hash = _CARRIED[type_name]
+        others = {name: _interface_file(name, "msg") for name in needed}
+        return MessageDefinition(_joined({**definitions, **others}), type_hash)
     description = json.loads(_interface_file(type_name, "json"))
     hashes = {entry["type_name"]: entry["hash_string"] for entry in description["type_hashes"]}
     dependencies = [
@@ -58,13 +66,6 @@ def message_definition(type_name: str) -> MessageDefinition:
     ]
     texts = {name: _interface_file(name, "msg") for name in (type_name, *dependencies)}
     return MessageDefinition(_joined(texts), type_hash=hashes[type_name])
-
-
-def _definition_of_boxes() -> MessageDefinition:
-    installed = {name: _interface_file(name, "msg") for name in detections.DEPENDENCIES}
-    return MessageDefinition(
-        _joined({**detections.DEFINITIONS, **installed}), type_hash=detections.TYPE_HASH
-    )
 
 
 def _joined(texts: Mapping[str, str]) -> str:

@@ -25,9 +25,11 @@ from visualization_msgs.msg import ImageMarker, Marker, MarkerArray
 from turbseg_ros.messages.detections import TYPE_NAME as DETECTIONS_TYPE
 from turbseg_ros.messages.detections import Detection, serialised_detections
 from turbseg_ros.messages.events import EventMessages
+from turbseg_ros.messages.image_annotations import TYPE_NAME as IMAGE_ANNOTATIONS_TYPE
+from turbseg_ros.messages.image_annotations import image_annotations, no_annotations
 from turbseg_ros.messages.images import message_from_image, ns_to_stamp
 from turbseg_ros.messages.stream_monitor import pause_timeout_for
-from turbseg_ros.overlay import colour_of, draw_overlay, outlines
+from turbseg_ros.overlay import colour_of, draw_overlay, simplified_outlines
 from turbseg_ros.segmentation.clutter import cells_of
 from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResult
 from turbseg_ros.segmentation.tone import ToneMap
@@ -39,8 +41,6 @@ OBJECT = "object"
 IMAGE_TYPE = "sensor_msgs/msg/Image"
 # Seconds that markers outlive a pause, so that it is the node that deletes them.
 _GRACE = 1.0
-# Outlines for viewers are let off corners that stand out less than this, in pixels.
-_OUTLINE_TOLERANCE = 0.5
 # Subscribers learn that they missed a message after some amount of data (images: at once), or by
 # Fast DDS' heartbeat every three seconds. Small messages have to be kept for so long at 30 Hz.
 _SMALL_DEPTH = 100
@@ -135,11 +135,8 @@ def annotations_message(result: SegmentationResult) -> ImageMarker:
     colours: list[ColorRGBA] = []
     for moving_object in result.objects:
         colour = _colour(moving_object.id)
-        for contour in outlines(result.labels, moving_object):
-            corners = [
-                _point(x, y)
-                for x, y in cv2.approxPolyDP(contour, _OUTLINE_TOLERANCE, True)[:, 0].tolist()
-            ]
+        for contour in simplified_outlines(result.labels, moving_object):
+            corners = [_point(x, y) for x, y in contour.tolist()]
             for start, end in zip(corners, [*corners[1:], corners[0]], strict=True):
                 points += (start, end)
                 colours.append(colour)
@@ -521,6 +518,13 @@ def outputs(
             one(annotations_message),
             depth=_SMALL_DEPTH,
             remove=lambda frame: [annotations_removal(frame)],
+        ),
+        Output(
+            "image_annotations",
+            IMAGE_ANNOTATIONS_TYPE,
+            one(image_annotations),
+            depth=_SMALL_DEPTH,
+            remove=lambda frame: [no_annotations(frame)],
         ),
         Output(
             "events",

@@ -26,7 +26,7 @@ _LOOK_PERIOD = 0.2
 # Messages that may wait in the middleware.
 _DEPTH = 100
 # What is recorded of a node unless topics are named: what it says in few bytes, and its input.
-_SMALL_RESULTS = ("centroids", "annotations", "events", "detections")
+_SMALL_RESULTS = ("centroids", "annotations", "image_annotations", "events", "detections")
 _INPUT_TYPES = (
     "sensor_msgs/msg/Image",
     "sensor_msgs/msg/CompressedImage",

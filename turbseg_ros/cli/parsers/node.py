@@ -16,6 +16,7 @@ OUTPUTS = (
     ("~/objects/slot_N/mask", "Image", "one object, whose slot it is while it lives"),
     ("~/centroids", "MarkerArray", "centroid, id, velocity and trail of each object"),
     ("~/annotations", "ImageMarker", "outlines"),
+    ("~/image_annotations", "ImageAnnotations", "outlines and ids, with foxglove_msgs"),
     ("~/detections", "Detection2DArray", "boxes, ids and scores, with vision_msgs"),
     ("~/events", "DiagnosticStatus", "what enters, leaves, stops; the camera"),
     ("~/overlay", "Image", "outlines drawn on the image"),
