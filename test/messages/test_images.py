@@ -170,6 +170,23 @@ def test_jpeg_is_decoded():
     assert np.abs(result.astype(int) - image).max() < 12
 
 
+def test_what_nobody_looks_at_is_decoded_in_part_and_keeps_its_size():
+    noise = np.random.default_rng(0).integers(0, 255, (40, 60, 3), np.uint8)
+    encoded = cv2.imencode(".jpg", cv2.GaussianBlur(noise, None, 5.0))[1]
+    message = compressed(encoded, "jpeg")
+    wanted = frame_from_message(message)
+    assert wanted.image_wanted
+    assert wanted.image.shape == (*wanted.shape, 3) == (40, 60, 3)
+    unseen = frame_from_message(message, enough=600.0)
+    assert not unseen.image_wanted
+    assert unseen.image.shape == (20, 30, 3)
+    assert unseen.shape == (40, 60)
+    assert unseen.kept().image.shape == (40, 60, 3)
+    plain = frame_from_message(message_from_image(noise, "bgr8", 5), enough=600.0)
+    np.testing.assert_array_equal(plain.image, noise)
+    assert not plain.image_wanted
+
+
 def compressed(data: np.ndarray, image_format: str) -> CompressedImage:
     message = CompressedImage(format=image_format)
     message.data.frombytes(data.tobytes())

@@ -57,6 +57,14 @@ def test_restarts_on_another_size_or_type(monitor, changed):
     assert "8x8x1 uint8" in verdict.reason
 
 
+def test_goes_on_when_an_image_is_decoded_in_part():
+    monitor = StreamMonitor()
+    for number, (shown, whole) in enumerate([((8, 8), None), ((4, 4), (8, 8)), ((8, 8), None)]):
+        stamp = number * PERIOD
+        seen = Frame(stamp, np.zeros(shown, np.uint8), image_wanted=whole is None, whole=whole)
+        assert monitor.judge(seen, stamp).action is Action.CONTINUE
+
+
 def test_goes_on_after_a_restart(monitor):
     assert monitor.judge(frame(0), 26 * PERIOD).action is Action.RESTART
     assert monitor.judge(frame(PERIOD), 27 * PERIOD).action is Action.CONTINUE

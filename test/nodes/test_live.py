@@ -19,6 +19,8 @@ from support.paths import SUPPORT
 
 CAMERAS = SUPPORT / "camera_process.py"
 SECONDS = 60
+# Of JPEG, as image_transport sends it by default.
+QUALITY = 95
 COUNTED = ("images dropped", "images lost by the middleware", "images answered by coasting")
 
 
@@ -26,9 +28,17 @@ class Cameras:
     """Cameras in a process of their own, which take from the nodes as little as drivers do."""
 
     def __init__(
-        self, output: Path, topics: list[str], size: tuple[int, int], rate: int, images: int
+        self,
+        output: Path,
+        topics: list[str],
+        size: tuple[int, int],
+        rate: int,
+        images: int,
+        jpeg: int | None = None,
     ) -> None:
         options = ["--size", *map(str, size), "--rate", str(rate), "--images", str(images)]
+        if jpeg is not None:
+            options += ["--jpeg", str(jpeg)]
         self._output = output
         with output.open("w") as stream:
             self._process = subprocess.Popen(
@@ -74,6 +84,7 @@ class Cameras:
     ("cameras", "size", "rate", "settings"),
     [
         (1, (1920, 1080), 30, ""),
+        (1, (1920, 1080), 30, "image_transport:=compressed"),
         (1, (1280, 720), 30, ""),
         (1, (1280, 720), 30, "latency.mode:=causal"),
         (1, (640, 480), 15, ""),
@@ -84,6 +95,7 @@ class Cameras:
     ],
     ids=[
         "1080p30",
+        "1080p30-jpeg",
         "720p30",
         "720p30-causal",
         "480p15",
@@ -111,8 +123,10 @@ def test_every_image_is_answered_or_counted(
         labels = [probe.count(f"{name}/turbseg/labels", Image) for name in names]
         diagnostics = probe.listen("/diagnostics", DiagnosticArray)
         sent = SECONDS * rate
-        topics = [f"{name}/image_raw" for name in names]
-        source = stack.enter_context(Cameras(tmp_path / "cameras", topics, size, rate, sent))
+        packed = "compressed" in settings
+        topics = [f"{name}/image_raw{'/compressed' if packed else ''}" for name in names]
+        jpeg = QUALITY if packed else None
+        source = stack.enter_context(Cameras(tmp_path / "cameras", topics, size, rate, sent, jpeg))
         probe.wait_for(lambda: FIRST in source.output, "the cameras")
         # What is lost before anything came can't be told from what was sent before.
         probe.wait_for(
@@ -123,6 +137,7 @@ def test_every_image_is_answered_or_counted(
             "the first images",
         )
         source.go_on()
+        spent = [node.processor_seconds for node in nodes]
         while source.running and ALL not in source.output:
             probe.spin(0.5)
         during = latest(diagnostics, names)
@@ -133,14 +148,17 @@ def test_every_image_is_answered_or_counted(
         )
         after = latest(diagnostics, names)
         memory = [node.resident_megabytes for node in nodes]
+        spent = [node.processor_seconds - s for node, s in zip(nodes, spent, strict=True)]
         assert [node.stop(signal.SIGINT) for node in nodes] == [0] * cameras
         source.go_on()
         assert source.wait() == 0, source.output
     print(source.output.splitlines()[-1])
-    for name, heard, megabytes in zip(names, labels, memory, strict=True):
+    for name, heard, megabytes, seconds in zip(names, labels, memory, spent, strict=True):
         late = {key: value for key, value in during[name].items() if "from arrival" in key}
         counted = {key: after[name][key] for key in COUNTED}
-        print(f"{name}: {heard.count} of {sent} answered, {megabytes:.0f} MB, {late}, {counted}")
+        pace = f"{1e3 * seconds / max(heard.count, 1):.1f} ms of processor time a frame"
+        print(f"{name}: {heard.count} of {sent} answered, {pace}, {megabytes:.0f} MB")
+        print(f"{late}, {counted}")
         never_received = int(after[name]["images lost by the middleware"])
         assert int(after[name]["images received"]) + never_received == sent
 

@@ -62,6 +62,25 @@ def test_a_frame_that_cannot_be_prepared_is_named(monkeypatch: pytest.MonkeyPatc
     assert stamps(segmenter.flush()) == [40]
 
 
+def test_labels_of_images_decoded_in_part_have_the_whole_size() -> None:
+    segmenter = segmenter_by_rules(PARAMETERS)
+    found = []
+    whole = (2 * SHAPE[0], 2 * SHAPE[1])
+    for number, frame in enumerate(frames(CLIP)):
+        large = cv2.resize(frame.image, whole[::-1], interpolation=cv2.INTER_CUBIC)
+        # Now and then somebody looks.
+        decoded = replace(frame, image=large)
+        in_part = replace(frame, image_wanted=False, whole=whole)
+        found += segmenter.push(decoded if number in (0, 9) else in_part)
+    found += segmenter.flush()
+    assert stamps(found) == list(range(len(CLIP)))
+    truth = [np.kron(SCENE.truth(k), np.ones((2, 2), bool)) for k in range(len(CLIP))]
+    overlap = [jaccard(r.labels > 0, true) for r, true in zip(found, truth, strict=True)]
+    assert np.mean(overlap) > 0.7
+    assert ids(found) == {1}
+    assert {result.frame.image.shape for result in found} == {whole}
+
+
 def test_images_that_nobody_wants_are_not_kept(results: list[SegmentationResult]) -> None:
     segmenter = segmenter_by_rules(PARAMETERS)
     lean = []

@@ -1,6 +1,7 @@
-"""Cameras as a process: `camera_process.py --size W H --rate HZ --images N TOPIC...`.
+"""Cameras as a process: `camera_process.py --size W H --rate HZ --images N [--jpeg Q] TOPIC...`.
 
-All of them show a bag's frames in colour, forward and backward. Once every topic is heard, each
+All of them show a bag's frames in colour, forward and backward, as JPEG of a quality if they are
+told so. Once every topic is heard, each
 camera sends its first image; the others follow, at the rate, when a line comes on standard input.
 A second line ends the process.
 """
@@ -16,11 +17,13 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import cv2
+import numpy as np
+import numpy.typing as npt
 import rclpy
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
-from sensor_msgs.msg import Image
+from sensor_msgs.msg import CompressedImage, Image
 
 from turbseg_ros.bag.frames import BagFrames
 from turbseg_ros.bag.reader import BagReader
@@ -34,21 +37,24 @@ _STAMP = struct.Struct("<iI")
 _STAMP_END = 4 + _STAMP.size
 
 
-def serialised_pictures(size: tuple[int, int]) -> list[bytes]:
-    """Return a bag's frames as serialised bgr8 images of a size (width, height)."""
+def serialised_pictures(size: tuple[int, int], jpeg: int | None) -> list[bytes]:
+    """Return a bag's frames as serialised images of a size (width, height): bgr8, or JPEG."""
     reader = BagReader(BAG)
-    frames = BagFrames(reader, reader.find_image_topic(None))
-    return [
-        serialize_message(
-            message_from_image(
-                cv2.cvtColor(cv2.resize(frame.image, size), cv2.COLOR_GRAY2BGR),
-                "bgr8",
-                0,
-                "camera",
-            )
-        )
-        for frame in frames
+    pictures = [
+        cv2.cvtColor(cv2.resize(frame.image, size), cv2.COLOR_GRAY2BGR)
+        for frame in BagFrames(reader, reader.find_image_topic(None))
     ]
+    if jpeg is None:
+        return [serialize_message(message_from_image(p, "bgr8", 0, "camera")) for p in pictures]
+    return [serialize_message(compressed(picture, jpeg)) for picture in pictures]
+
+
+def compressed(picture: npt.NDArray[np.uint8], quality: int) -> CompressedImage:
+    message = CompressedImage(format="bgr8; jpeg compressed bgr8")
+    message.header.frame_id = "camera"
+    _, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])
+    message.data.frombytes(data.tobytes())
+    return message
 
 
 def forward_and_backward(pictures: Sequence[bytes]) -> Iterator[bytes]:
@@ -67,15 +73,17 @@ def run() -> None:
     parser.add_argument("--size", type=int, nargs=2, required=True)
     parser.add_argument("--rate", type=float, required=True)
     parser.add_argument("--images", type=int, required=True)
+    parser.add_argument("--jpeg", type=int)
     parser.add_argument("topics", nargs="+")
     options = parser.parse_args()
 
     keep_large_buffers()
-    images = forward_and_backward(serialised_pictures(options.size))
+    images = forward_and_backward(serialised_pictures(options.size, options.jpeg))
     rclpy.init()
     node = Node("cameras")
     qos = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
-    publishers = [node.create_publisher(Image, topic, qos) for topic in options.topics]
+    kind = Image if options.jpeg is None else CompressedImage
+    publishers = [node.create_publisher(kind, topic, qos) for topic in options.topics]
 
     def send() -> None:
         for publisher in publishers:

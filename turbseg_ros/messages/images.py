@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import reprlib
 import struct
@@ -16,7 +17,7 @@ from builtin_interfaces.msg import Time
 from sensor_msgs.msg import CompressedImage, Image
 from std_msgs.msg import Header
 
-from turbseg_ros.encoded_picture import PictureError, decoded, is_png
+from turbseg_ros.encoded_picture import PictureError, decoded_in_part, is_png
 from turbseg_ros.messages.cdr import (
     CompressedImageView,
     ImageView,
@@ -130,26 +131,39 @@ _PLAIN = {
 }
 
 
-def frame_from_serialised(message: memoryview, kind: type[Image] | type[CompressedImage]) -> Frame:
+def frame_from_serialised(
+    message: memoryview,
+    kind: type[Image] | type[CompressedImage],
+    enough: float | None = None,
+) -> Frame:
     """Return the frame that a serialised message of a kind holds; see `frame_from_message`.
 
     :raises ImageConversionError: also when it is no message of that kind.
     """
     read = compressed_image_view if kind is CompressedImage else image_view
     try:
-        return frame_from_message(read(message))
+        return frame_from_message(read(message), enough)
     except SerialisedDataError as error:
         raise ImageDataError(f"image {error}") from error
 
 
-def frame_from_message(message: AnyImage) -> Frame:
+def frame_from_message(message: AnyImage, enough: float | None = None) -> Frame:
     """Return the frame that a camera's message holds, as the method takes it.
 
+    :param enough: how many pixels will do for an image that nobody wants to see: a JPEG of many
+        more is decoded in part (`encoded_picture.decoded_in_part`). None where it is wanted.
     :raises ImageConversionError: as `image_from_message`, and for a stamp whose nanoseconds make
         a second or more, for the answers could not carry it.
     """
-    header = message.header
-    return Frame(stamp_of(header), image_from_message(message), header.frame_id)
+    stamp, frame_id = stamp_of(message.header), message.header.frame_id
+    if enough is None:
+        return Frame(stamp, image_from_message(message), frame_id)
+    whole = None
+    if isinstance(message, CompressedImage | CompressedImageView):
+        image, whole = _decoded(message, enough)
+    else:
+        image = image_from_message(message)
+    return Frame(stamp, image, frame_id, image_wanted=False, whole=whole)
 
 
 def stamp_of(header: Header) -> int:
@@ -172,7 +186,7 @@ def image_from_message(message: AnyImage) -> npt.NDArray[Any]:
         that can't be, or compressed data that can't be decoded.
     """
     if isinstance(message, CompressedImage | CompressedImageView):
-        return _decoded(message)
+        return _decoded(message)[0]
     layout = _LAYOUTS.get(message.encoding)
     if layout is None:
         planar = PLANAR_LAYOUTS.get(message.encoding.lower())
@@ -306,7 +320,10 @@ def _native(pixels: npt.NDArray[Any]) -> npt.NDArray[Any]:
     return pixels.astype(pixels.dtype.newbyteorder("="), copy=not whole_steps)
 
 
-def _decoded(message: CompressedImage | CompressedImageView) -> npt.NDArray[Any]:
+def _decoded(
+    message: CompressedImage | CompressedImageView, enough: float = math.inf
+) -> tuple[npt.NDArray[Any], tuple[int, int]]:
+    """Return a compressed image, in part where that is enough, and the rows and columns it has."""
     data = np.frombuffer(memoryview(message.data), np.uint8)
     what = f"compressed image (format {reprlib.repr(message.format)}, {data.size} bytes)"
     if _VIDEO.search(message.format.partition(";")[0]):
@@ -316,8 +333,9 @@ def _decoded(message: CompressedImage | CompressedImageView) -> npt.NDArray[Any]
             "turbseg_replay reads video"
         )
     if "compressedDepth" in message.format or is_png(data[_DEPTH_HEAD.size :]):
-        return _depth(data, message.format, what)
-    return _picture(data, what)
+        depth = _depth(data, message.format, what)
+        return depth, (depth.shape[0], depth.shape[1])
+    return _picture(data, what, enough)
 
 
 def _depth(data: npt.NDArray[np.uint8], image_format: str, what: str) -> npt.NDArray[Any]:
@@ -328,7 +346,7 @@ def _depth(data: npt.NDArray[np.uint8], image_format: str, what: str) -> npt.NDA
             f"{what} is no PNG behind its head; make images of it with 'ros2 run image_transport "
             "republish --ros-args -p in_transport:=compressedDepth -p out_transport:=raw'"
         )
-    stored = _picture(content, what)
+    stored, _ = _picture(content, what)
     if not image_format.startswith("32FC1"):
         return stored
     _, quantisation, offset = _DEPTH_HEAD.unpack(data[: _DEPTH_HEAD.size].tobytes())
@@ -337,10 +355,12 @@ def _depth(data: npt.NDArray[np.uint8], image_format: str, what: str) -> npt.NDA
     return np.where(stored == 0, np.float32(np.nan), depth)
 
 
-def _picture(data: npt.NDArray[np.uint8], what: str) -> npt.NDArray[Any]:
+def _picture(
+    data: npt.NDArray[np.uint8], what: str, enough: float = math.inf
+) -> tuple[npt.NDArray[Any], tuple[int, int]]:
     flags = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR | cv2.IMREAD_IGNORE_ORIENTATION
     try:
-        image = decoded(data, flags)
+        image, shape = decoded_in_part(data, flags, enough)
     except PictureError as error:
         reason = f": {error}" if str(error) else ""
         raise ImageDataError(f"{what} can't be decoded{reason}") from error
@@ -348,4 +368,4 @@ def _picture(data: npt.NDArray[np.uint8], what: str) -> npt.NDArray[Any]:
         image = cv2.cvtColor(image, cv2.COLOR_BGRA2BGR)
     if image.dtype not in (np.uint8, np.uint16, np.float32):
         raise UnknownEncodingError(f"{what} holds {image.dtype}, which is not supported")
-    return image
+    return image, shape

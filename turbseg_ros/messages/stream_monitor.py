@@ -297,5 +297,6 @@ def _same_picture(one: Frame, other: Frame) -> bool:
 
 
 def _format(frame: Frame) -> str:
-    height, width, *channels = frame.image.shape
+    height, width = frame.shape
+    channels = frame.image.shape[2:]
     return f"{width}x{height}x{channels[0] if channels else 1} {frame.image.dtype}"

@@ -33,7 +33,7 @@ _MAX_EVENT_LINES, _EVENT_PERIOD = 5, 10.0
 
 def first_image_text(serialised: memoryview, frame: Frame, compressed: bool) -> str:
     """Return the line about the first image: size, encoding and frame id."""
-    height, width = frame.image.shape[:2]
+    height, width = frame.shape
     encoding = (
         compressed_image_view(serialised).format if compressed else image_view(serialised).encoding
     )

@@ -38,6 +38,7 @@ from turbseg_ros.parameters import ParameterError, Parameters
 from turbseg_ros.region_file import marked_regions
 from turbseg_ros.segmentation.frame import Frame, SegmentationResult
 from turbseg_ros.segmentation.motion_segmenter import MotionSegmenter
+from turbseg_ros.segmentation.resolution import pixels_of
 
 _DIAGNOSTICS_PERIOD = 1.0
 # A camera that offers less than is asked for goes unheard until its offer is looked at.
@@ -214,13 +215,18 @@ class TurbsegNode(ReceivingNode):
         self._event_log.catch_up()
 
     def _frame(self, serialised: memoryview) -> Frame:
-        frame = frame_from_serialised(serialised, self._image_type)
+        wanted = self._results.image_wanted
+        # Of what nobody looks at, outlines need no more than their own resolution.
+        enough = pixels_of(self._parameter_handler.current.resolution.detail)
+        frame = frame_from_serialised(
+            serialised, self._image_type, enough=None if wanted else enough
+        )
         if self._awaits_first_image:
             self._awaits_first_image = False
             self.get_logger().info(
                 first_image_text(serialised, frame, self._image_type is CompressedImage)
             )
-        return dataclasses.replace(frame, image_wanted=self._results.image_wanted)
+        return frame
 
     def _on_parameters(self, before: Parameters, after: Parameters) -> None:
         changed = after.as_mapping().items() - before.as_mapping().items()

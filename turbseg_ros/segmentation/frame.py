@@ -24,26 +24,35 @@ class Frame:
     `image` is HxW (grey) or HxWx3 (blue, green, red), uint8, uint16 or float32; `stamp` is the
     time it was taken, in nanoseconds; `frame_id` names the camera's coordinate frame. Where it is
     not `image_wanted`, its result comes with a black image, for full-size ones of all frames that
-    wait take much memory. `received` is when it came or was recorded, in nanoseconds, and `period`
-    the usual time, in seconds, from one frame to the next, None where that is not known. One that
-    `begins_stream` has nothing to do with those before.
+    wait take much memory. Where it was decoded at a part of its size, and not wanted either,
+    `whole` is the size (rows, columns) that it has and its result gets. `received` is when it came
+    or was recorded, in nanoseconds, and `period` the usual time, in seconds, from one frame to the
+    next, None where that is not known. One that `begins_stream` has nothing to do with those
+    before.
     """
 
     stamp: int
     image: Image
     frame_id: str = ""
     image_wanted: bool = True
+    whole: tuple[int, int] | None = None
     received: int | None = None
     period: float | None = None
     begins_stream: bool = False
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the camera's image."""
+        return self.whole or (self.image.shape[0], self.image.shape[1])
 
     def kept(self) -> Frame:
         """Return what is to be kept of it for its result."""
         if self.image_wanted:
             return self
         # One pixel for all of them.
-        black = np.broadcast_to(np.zeros((), self.image.dtype), self.image.shape)
-        return replace(self, image=black)
+        shape = (*self.shape, *self.image.shape[2:])
+        black = np.broadcast_to(np.zeros((), self.image.dtype), shape)
+        return replace(self, image=black, whole=None)
 
 
 @dataclass(frozen=True)
@@ -154,7 +163,7 @@ class SegmentationResult:
         """
         return cls(
             frame=frame,
-            labels=np.zeros(frame.image.shape[:2], np.uint16),
+            labels=np.zeros(frame.shape, np.uint16),
             objects=(),
             motion_map=np.zeros(motion_shape, np.float32),
             tilt=float("nan"),

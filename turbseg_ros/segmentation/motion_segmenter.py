@@ -168,7 +168,7 @@ class MotionSegmenter:
 
     def _resolution_of(self, frame: Frame) -> Resolution:
         sizes = self._parameters.resolution
-        return Resolution.of(frame.image.shape, sizes.processing, sizes.detail)
+        return Resolution.of(frame.shape, sizes.processing, sizes.detail)
 
     def _begin(self, frame: Frame) -> _Stream:
         resolution = self._resolution_of(frame)
@@ -304,4 +304,4 @@ class _Stream:
 
 
 def _kind_of(frame: Frame) -> tuple[object, ...]:
-    return frame.image.shape, frame.image.dtype
+    return frame.shape, frame.image.shape[2:], frame.image.dtype

@@ -13,6 +13,11 @@ from turbseg_ros.segmentation.geometry import scaling
 _MIN_SIDE = 16
 
 
+def pixels_of(width: int) -> float:
+    """Return how many pixels a 16:9 picture of a width has."""
+    return width**2 * 9 / 16
+
+
 @dataclass(frozen=True)
 class Resolution:
     """The sizes (width, height) a frame is worked on: as it came, for flow, for outlines."""
@@ -43,8 +48,8 @@ class Resolution:
 
         return cls(
             input=(width, height),
-            processing=scaled(processing_width**2 * 9 / 16),
-            detail=scaled(min(detail_width**2 * 9 / 16, width * height)),
+            processing=scaled(pixels_of(processing_width)),
+            detail=scaled(min(pixels_of(detail_width), width * height)),
         )
 
     @property
