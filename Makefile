@@ -51,9 +51,14 @@ test-learning: .venv/learning ## the tests of networks, with torch (a download o
 docs: venv ## the reference of the library, into out/docs/index.html
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs/api out/docs
 
-# What a frame takes, in one run with baselines and a yardstick; figures in out/benchmark.json.
-bench: venv ## time a frame; figures in out/benchmark.json
-	$(BIN)/python -m turbseg_ros.cli benchmark --json out/benchmark.json
+# What a frame takes, in one run with baselines and a yardstick, and replay beside the method alone;
+# how it grows with objects; the node live and at rest. A quarter of an hour, figures in out/.
+bench: venv ## time a frame, replay and the live node; figures in out/benchmark.json
+	$(BIN)/python -m turbseg_ros.cli benchmark --replay bags/normal --json out/benchmark.json
+	$(BIN)/python -m turbseg_ros.cli benchmark --sizes 1920x1080 --objects 0,1,8,25 --baselines '' \
+		--json out/benchmark_objects.json
+	FASTRTPS_DEFAULT_PROFILES_FILE=config/fastdds_large_images.xml $(BIN)/python -m pytest -q -s \
+		-m soak test/nodes/test_live.py -k 'answered_or_counted or at_rest' -W ignore
 
 # What README and docs/accuracy.md show: tables on the terminal, pictures in docs/images.
 figures: venv ## the tables and pictures of the documents

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from support.drawn_bag import write_drawn_bag
 from support.drawn_scene import DrawnScene
 from turbseg_ros.cli import benchmark as executable
 from turbseg_ros.evaluation.baselines import BackgroundSubtraction, Method, TurbsegMethod
@@ -133,21 +134,48 @@ def test_the_executable_refuses_what_makes_no_sense(arguments, capsys):
     assert arguments[1] in capsys.readouterr().err or "mog3" in arguments
 
 
-@pytest.mark.parametrize("count", ["-1", "17"])
+@pytest.mark.parametrize("count", ["-1", "33", "2,33", "two"])
 def test_the_executable_refuses_a_crowd(count, capsys):
-    assert executable.main(["--objects", count]) == 2
+    with pytest.raises(SystemExit) as ended:
+        executable.main([f"--objects={count}"])
+    assert ended.value.code == 2
     assert count in capsys.readouterr().err
 
 
+def test_cases_of_several_objects_and_replay_are_told(monkeypatch, tmp_path, capsys):
+    bag = tmp_path / "bag"
+    write_drawn_bag(bag, [number * 40_000_000 for number in range(12)])
+    monkeypatch.setattr(executable, "render", lambda scene, seed: rendered_for(scene))
+    monkeypatch.setattr(executable, "_WARM_UP", 3)
+    monkeypatch.setattr(executable, "_PAIRS", 2)
+    file = tmp_path / "figures.json"
+    arguments = ["--sizes", "160x96", "--frames", "2", "--baselines", "", "--objects", "0,3"]
+    assert executable.main([*arguments, "--replay", str(bag), "--json", str(file)]) == 0
+    report = json.loads(file.read_text())
+    assert [case["objects"] for case in report["cases"]] == [0, 3]
+    assert len(report["replay_over_method"]) == 2
+    assert min(report["replay_over_method"]) > 0.0
+    printed = capsys.readouterr().out
+    assert "160x96, 3 objects, 2 frames" in printed
+    assert f"replay of {bag} over the method alone: " in printed
+
+
+def rendered_for(scene):
+    """Return a clip, not the same for scenes with and without objects."""
+    drawn = DrawnScene() if scene.objects else DrawnScene(velocity=None)
+    return [Rendered(image) for image in drawn.images(20)]
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupted_benchmark_keeps_the_sizes_that_are_done(
+def test_an_interrupted_benchmark_keeps_the_cases_that_are_done(
     number, monkeypatch, tmp_path, capsys
 ):
-    def case(clip, size, *_):
+    def case(clip, objects, size, *_):
         if size == (128, 96):
             signal.raise_signal(number)
         cost = Cost(1.0, 1.0, 1.0, 1.0)
-        return Timing(size, {"turbseg": cost}, cost, {}), Footprint(1.0, 1.0, 1.0)
+        timing = Timing(size, {"turbseg": cost}, cost, {})
+        return executable._Case(objects, timing, Footprint(1.0, 1.0, 1.0))
 
     monkeypatch.setattr(executable, "render", lambda *_: iter([Rendered(np.zeros((4, 4)))]))
     monkeypatch.setattr(executable, "_case", case)
@@ -156,5 +184,5 @@ def test_an_interrupted_benchmark_keeps_the_sizes_that_are_done(
     assert executable.main(arguments) == 128 + number
     content = json.loads(file.read_text())
     assert [each["size"] for each in content["cases"]] == [[64, 64]]
-    assert content["partial"] == "interrupted after 1 of 3 sizes"
+    assert content["partial"] == "interrupted after 1 of 3 cases"
     assert capsys.readouterr().err == f"turbseg_benchmark: {content['partial']}\n"

@@ -164,6 +164,31 @@ def test_every_image_is_answered_or_counted(
 
 
 @pytest.mark.soak
+@pytest.mark.timeout(120)
+@pytest.mark.parametrize("rest", ["enabled:=false", "idle_after:=0.5"])
+def test_a_node_at_rest_takes_a_hundredth_of_a_core_at_most(tmp_path: Path, rest: str) -> None:
+    seconds, topic = 30.0, "/camera/image_raw"
+    with (
+        NodeProcess(tmp_path / "node", "-r", "__ns:=/camera", "-p", rest) as node,
+        Probe() as probe,
+        Cameras(tmp_path / "cameras", [topic], (1920, 1080), 30, 10_000) as source,
+    ):
+        # Somebody else listens to the camera.
+        heard = probe.count(topic, Image)
+        probe.wait_for(lambda: "disabled" in node.output or "idle" in node.output, "rest")
+        probe.wait_for(lambda: heard.count, "the camera")
+        source.go_on()
+        # What a start and a change of subscriptions cost is over soon.
+        probe.spin(2.0)
+        spent = node.processor_seconds
+        probe.spin(seconds)
+        share = (node.processor_seconds - spent) / seconds
+        assert node.stop(signal.SIGINT) == 0
+    print(f"{rest}: {100.0 * share:.2f} % of a core")
+    assert share < 0.01
+
+
+@pytest.mark.soak
 @pytest.mark.timeout(1800)
 def test_memory_and_time_a_frame_stay_flat_for_twenty_minutes(tmp_path: Path) -> None:
     minutes, rate, name = 20, 10, "/camera"

@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
+import functools
 import itertools
 import json
 import os
 import platform
 import sys
-from collections.abc import Iterator, Sequence
+import tempfile
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from turbseg_ros.bag.frames import BagFrames
+from turbseg_ros.bag.reader import BagReader
 from turbseg_ros.cli.errors import Interrupted, UsageError, executable, interrupted_after
 from turbseg_ros.cli.options import (
     parameters_from,
@@ -23,6 +30,7 @@ from turbseg_ros.cli.options import (
 )
 from turbseg_ros.cli.outputs import check_file
 from turbseg_ros.cli.parsers.benchmark import build_parser
+from turbseg_ros.cli.replay import ReplayJob
 from turbseg_ros.evaluation.baselines import (
     Method,
     TurbsegMethod,
@@ -36,9 +44,11 @@ from turbseg_ros.evaluation.benchmark import (
     footprint,
     measure,
 )
+from turbseg_ros.factory import motion_segmenter
 from turbseg_ros.parameter_file import load_parameters
 from turbseg_ros.parameters import Parameters
 from turbseg_ros.presets import preset_path
+from turbseg_ros.segmentation.frame import Frame, segment
 from turbseg_ros.simulation.objects import Path as ObjectPath
 from turbseg_ros.simulation.objects import SceneObject
 from turbseg_ros.simulation.render import render
@@ -53,7 +63,8 @@ _CLIP = 30
 # Enough for the first frames to be caught up with and for the background's memory to be full.
 _WARM_UP = 75
 _KINDS = ("sedan", "person", "van", "pickup")
-_MAX_OBJECTS = 16
+# Pairs of runs, in turn, of replay and of the method alone.
+_PAIRS = 5
 
 
 @executable("turbseg_benchmark")
@@ -63,41 +74,53 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parameters = parameters_from(options)
     if options.json is not None:
         check_file(options.json)
-    if not 0 <= options.objects <= _MAX_OBJECTS:
-        raise UsageError(f"--objects {options.objects}: give 0 to {_MAX_OBJECTS}")
     methods = _methods(options.baselines, parameters)
-    scene = _scene(options.objects)
-    clip = [
-        rendered.image
-        for rendered in with_progress(render(scene, _SEED), "rendering", total=scene.frames)
-    ]
-    cases: list[tuple[Timing, Footprint]] = []
+    if options.replay is not None:
+        frames = _frames_of(options.replay)
+    cases: list[_Case] = []
+    ratios: list[float] = []
     status = 0
     try:
-        for size in options.sizes:
-            cases.append(_case(clip, size, methods, parameters, options.frames))
-            print("", *_table(*cases[-1], options), sep="\n", flush=True)
+        for objects in options.objects:
+            clip = _clip(objects)
+            for size in options.sizes:
+                cases.append(_case(clip, objects, size, methods, parameters, options.frames))
+                print("", *_table(cases[-1], options.frames), sep="\n", flush=True)
+        if options.replay is not None:
+            ratios = _replay_ratios(options.replay, frames, parameters)
+            print("", _replay_line(options.replay, ratios), sep="\n")
     except Interrupted as interrupted:
         if not isinstance(interrupted.code, int):
             raise
         status = interrupted.code
-        partial = interrupted_after(len(cases), len(options.sizes), "sizes")
+        total = len(options.objects) * len(options.sizes)
+        partial = interrupted_after(len(cases), total, "cases")
         print(f"turbseg_benchmark: {partial}", file=sys.stderr)
     if options.json is not None and cases:
-        report = _report(cases, options, parameters)
+        report = _report(cases, ratios, options.frames, parameters)
         if status:
             report["partial"] = partial
         options.json.write_text(json.dumps(report, indent=2) + "\n")
     return status
 
 
+@dataclass(frozen=True)
+class _Case:
+    """What frames of one size with so many objects took, and needed."""
+
+    objects: int
+    timing: Timing
+    needs: Footprint
+
+
 def _case(
     clip: Sequence[npt.NDArray[np.uint8]],
+    objects: int,
     size: tuple[int, int],
     methods: Sequence[Method],
     parameters: Parameters,
     frames: int,
-) -> tuple[Timing, Footprint]:
+) -> _Case:
     """Time `frames` frames of one size, and see what they need."""
     count = _WARM_UP + frames
     title = f"{size[0]}x{size[1]}"
@@ -106,7 +129,46 @@ def _case(
     )
     timing = measure(methods, shown, _WARM_UP, size)
     needs = footprint(parameters, itertools.islice(endless(clip, size, _RATE_HZ), count))
-    return timing, needs
+    return _Case(objects, timing, needs)
+
+
+def _clip(objects: int) -> list[npt.NDArray[np.uint8]]:
+    """Render a street with so many objects."""
+    scene = _scene(objects)
+    rendering = with_progress(render(scene, _SEED), "rendering", total=scene.frames)
+    return [rendered.image for rendered in rendering]
+
+
+def _frames_of(bag: Path) -> list[Frame]:
+    reader = BagReader(bag)
+    return list(BagFrames(reader, reader.find_image_topic(None)))
+
+
+def _replay_ratios(bag: Path, frames: Sequence[Frame], parameters: Parameters) -> list[float]:
+    """Return the time that replaying takes over that of the method alone, for runs in turn."""
+    ratios = []
+    with tempfile.TemporaryDirectory() as folder:
+        for number in with_progress(range(_PAIRS), "replay", total=_PAIRS, unit="pair"):
+            job = ReplayJob(str(bag), bag, Path(folder) / str(number), parameters)
+            replayed = _seconds(job.run)
+            segmenter = motion_segmenter(parameters)
+            alone = _seconds(functools.partial(deque, segment(frames, segmenter), maxlen=0))
+            segmenter.close()
+            ratios.append(replayed / alone)
+    return ratios
+
+
+def _seconds(action: Callable[[], object]) -> float:
+    began = time.perf_counter()
+    action()
+    return time.perf_counter() - began
+
+
+def _replay_line(bag: Path, ratios: Sequence[float]) -> str:
+    return (
+        f"replay of {bag} over the method alone: {np.median(ratios):.2f} "
+        f"(median of {len(ratios)} pairs of runs, {min(ratios):.2f} to {max(ratios):.2f})"
+    )
 
 
 def _methods(baselines: Sequence[str], parameters: Parameters) -> list[Method]:
@@ -148,10 +210,11 @@ def _object(number: int, count: int) -> SceneObject:
     return SceneObject(number + 1, kind, 50.0 if kind == "person" else 90.0, way)
 
 
-def _table(timing: Timing, needs: Footprint, options: argparse.Namespace) -> Iterator[str]:
+def _table(case: _Case, frames: int) -> Iterator[str]:
+    timing, needs = case.timing, case.needs
     width, height = timing.size
     yield (
-        f"{width}x{height}, {options.objects} objects, {options.frames} frames: "
+        f"{width}x{height}, {case.objects} objects, {frames} frames: "
         f"{needs.mebibytes:.0f} MiB, ready after {needs.start_seconds:.1f} s, "
         f"first result {needs.first_result_seconds:.1f} s later"
     )
@@ -171,7 +234,7 @@ def _table(timing: Timing, needs: Footprint, options: argparse.Namespace) -> Ite
 
 
 def _report(
-    cases: Sequence[tuple[Timing, Footprint]], options: argparse.Namespace, parameters: Parameters
+    cases: Sequence[_Case], ratios: Sequence[float], frames: int, parameters: Parameters
 ) -> dict[str, Any]:
     """Return everything that was measured, as JSON has it."""
     return {
@@ -182,16 +245,19 @@ def _report(
             "opencv": cv2.__version__,
             "numpy": np.__version__,
         },
-        "objects": options.objects,
-        "frames": options.frames,
+        "frames": frames,
         "parameters": parameters.as_mapping(),
         "cases": [
             {
-                **dataclasses.asdict(timing),
-                "ratios": {name: timing.ratio(name) for name in timing.frames},
-                "processor_ratios": {name: timing.processor_ratio(name) for name in timing.frames},
-                **dataclasses.asdict(needs),
+                "objects": case.objects,
+                **dataclasses.asdict(case.timing),
+                "ratios": {name: case.timing.ratio(name) for name in case.timing.frames},
+                "processor_ratios": {
+                    name: case.timing.processor_ratio(name) for name in case.timing.frames
+                },
+                **dataclasses.asdict(case.needs),
             }
-            for timing, needs in cases
+            for case in cases
         ],
+        "replay_over_method": list(ratios),
     }

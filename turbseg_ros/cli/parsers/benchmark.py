@@ -9,6 +9,7 @@ from turbseg_ros.cli.options import add_parameter_options, command_parser, posit
 from turbseg_ros.evaluation import BASELINES, CONTRIB_BASELINES
 
 _SIZES = ((640, 480), (1280, 720), (1920, 1080))
+_MAX_OBJECTS = 32
 
 
 def _sizes(text: str) -> tuple[tuple[int, int], ...]:
@@ -25,6 +26,17 @@ def _sizes(text: str) -> tuple[tuple[int, int], ...]:
 def _size(text: str) -> tuple[int, int]:
     width, height = text.split("x")
     return int(width), int(height)
+
+
+def _counts(text: str) -> tuple[int, ...]:
+    """Read numbers of objects such as 0,2,8."""
+    try:
+        counts = tuple(int(item) for item in text.split(","))
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"{text}: give numbers as 0,2,8") from error
+    if not all(0 <= count <= _MAX_OBJECTS for count in counts):
+        raise argparse.ArgumentTypeError(f"{text}: give 0 to {_MAX_OBJECTS} objects")
+    return counts
 
 
 def _baselines(text: str) -> list[str]:
@@ -61,7 +73,11 @@ def build_parser() -> argparse.ArgumentParser:
         help="frames that are timed, after others to warm up (%(default)s)",
     )
     parser.add_argument(
-        "--objects", type=int, default=2, metavar="N", help="moving objects (%(default)s)"
+        "--objects",
+        type=_counts,
+        default=(2,),
+        metavar="N,N",
+        help="moving objects, in a clip of its own each (2)",
     )
     parser.add_argument(
         "--baselines",
@@ -70,6 +86,12 @@ def build_parser() -> argparse.ArgumentParser:
         default=[name for name in BASELINES if name not in CONTRIB_BASELINES],
         metavar="NAMES",
         help=f"some of {','.join(BASELINES)} (all but {', '.join(CONTRIB_BASELINES)})",
+    )
+    parser.add_argument(
+        "--replay",
+        type=Path,
+        metavar="BAG",
+        help="also time turbseg_replay of a bag beside the method alone, its frames in memory",
     )
     parser.add_argument("--json", type=Path, metavar="F", help="also write the figures as JSON")
     add_parameter_options(parser)
