@@ -44,11 +44,16 @@ LIVE |= {"/diagnostics"}
 
 @pytest.fixture
 def replayed(tmp_path, monkeypatch):
-    """The topics of a bag that turbseg_replay writes."""
+    """What gives the topics of a bag that turbseg_replay writes."""
     monkeypatch.setattr(replay, "clip_segmenter", lambda parameters, _: StubSegmenter(parameters))
     bag = write_drawn_bag(tmp_path / "bag", [SECOND, 2 * SECOND])
-    assert replay.main([str(bag), "-o", str(tmp_path / "replayed")]) == 0
-    return set(BagReader(tmp_path / "replayed").topics)
+
+    def topics(*options):
+        out = tmp_path / "-".join(["replayed", *options])
+        assert replay.main([str(bag), "-o", str(out), *options]) == 0
+        return {name for name, topic in BagReader(out).topics.items() if topic.message_count}
+
+    return topics
 
 
 def foxglove_panels():
@@ -69,14 +74,14 @@ def rviz_displays():
 
 
 @pytest.mark.parametrize("layout", [foxglove_panels, rviz_displays])
-def test_layouts_show_what_a_node_publishes_and_say_what_result_bags_lack(layout, replayed):
+def test_layouts_show_what_nodes_publish_and_result_bags_hold(layout, replayed):
     shown = layout()
     assert all(topics and topics <= LIVE for topics in shown.values()), shown
-    assert {name for name, topics in shown.items() if not topics <= replayed} == {
-        name for name in shown if name.endswith("(live)")
+    bag = replayed()
+    assert {name for name, topics in shown.items() if not topics <= bag} == {
+        name for name in shown if name.endswith("(bags: --views overlay)")
     }
-    # Pictures and markers of both.
-    assert {"/turbseg/mask", "/turbseg/centroids"} <= set().union(*shown.values()) & replayed
+    assert set().union(*shown.values()) <= replayed("--views", "overlay")
 
 
 class StandIn:
