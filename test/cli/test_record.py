@@ -13,7 +13,7 @@ import pytest
 from sensor_msgs.msg import Image
 from visualization_msgs.msg import Marker, MarkerArray
 
-from support.node_harness import Camera, NodeProcess, Probe, texture
+from support.node_harness import RELIABLE, Camera, NodeProcess, Probe, texture
 from turbseg_ros.bag.reader import BagReader
 from turbseg_ros.cli import record
 from turbseg_ros.messages.images import message_from_image
@@ -64,6 +64,35 @@ def test_a_bag_begins_before_an_object_and_ends_after_it(tmp_path: Path, probe: 
     assert counts["/probe/centroids"] == 6
     # Images are published reliably: those before the object are all there.
     assert 5 < counts["/lens/image_raw"] <= sent
+
+
+def test_a_camera_that_comes_after_the_recorder_is_recorded_from_its_first_image_on(
+    tmp_path: Path, probe: Probe
+) -> None:
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "turbseg_ros.cli", "record", "-o", str(out)]
+    command += ["--node", "/probe", "--pre-roll", "600", "--post-roll", "600"]
+    # What the node listens to, though nothing is there yet.
+    probe.node.create_subscription(Image, "/lens/image_raw", lambda _: None, RELIABLE)
+    with NodeProcess(tmp_path / "log", command=command) as recorder:
+        probe.wait_for(
+            lambda: probe.node.count_subscribers("/lens/image_raw") == 2, "its subscription"
+        )
+        camera = probe.advertise("/lens/image_raw", Image, heard=False)
+        centroids = probe.advertise("/probe/centroids", MarkerArray, heard=False)
+        for publisher in (camera, centroids):
+            probe.wait_for(lambda it=publisher: it.get_subscription_count() == 2, "the recorder")
+        for _ in range(5):
+            camera.publish(IMAGE)
+        probe.wait_for(lambda: "recording /lens/image_raw (" in recorder.output, "its word")
+        for _ in range(5):
+            camera.publish(IMAGE)
+        centroids.publish(OBJECT)
+        probe.wait_for(lambda: f"{out}/" in recorder.output, "the bag to begin")
+        assert recorder.stop(signal.SIGINT) == 0
+    (bag,) = out.iterdir()
+    counts = Counter(message.topic for message in BagReader(bag).messages())
+    assert counts == {"/lens/image_raw": 10, "/probe/centroids": 1}
 
 
 def test_a_folder_that_cannot_be_made_is_refused(

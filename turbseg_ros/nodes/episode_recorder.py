@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import functools
 import time
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
@@ -26,19 +27,50 @@ _LOOK_PERIOD = 0.2
 # Messages that may wait in the middleware.
 _DEPTH = 100
 # What is recorded of a node unless topics are named: what it says in few bytes, and its input.
-_SMALL_RESULTS = ("centroids", "annotations", "image_annotations", "events", "detections")
+_SMALL_RESULTS = {
+    "centroids": "visualization_msgs/msg/MarkerArray",
+    "annotations": "visualization_msgs/msg/ImageMarker",
+    "image_annotations": "foxglove_msgs/msg/ImageAnnotations",
+    "events": "diagnostic_msgs/msg/DiagnosticStatus",
+    "detections": "vision_msgs/msg/Detection2DArray",
+}
 _INPUT_TYPES = (
     "sensor_msgs/msg/Image",
     "sensor_msgs/msg/CompressedImage",
     "sensor_msgs/msg/CameraInfo",
 )
 _DIAGNOSTICS = "/diagnostics"
+_DIAGNOSTICS_TYPE = "diagnostic_msgs/msg/DiagnosticArray"
+
+
+@dataclass(frozen=True)
+class _Offer:
+    """What a topic is subscribed to as."""
+
+    type_name: str
+    reliability: ReliabilityPolicy
+    durability: DurabilityPolicy = DurabilityPolicy.VOLATILE
+
+
+def _offered(publishers: Sequence[TopicEndpointInfo]) -> _Offer | None:
+    """Return what all of a topic's publishers offer, None where they are of several types."""
+    if len({each.topic_type for each in publishers}) != 1:
+        return None
+    offered = [each.qos_profile for each in publishers]
+    latched = all(each.durability == DurabilityPolicy.TRANSIENT_LOCAL for each in offered)
+    return _Offer(
+        publishers[0].topic_type,
+        strictest_reliability(offered),
+        DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )
 
 
 class EpisodeRecorder(Node):  # type: ignore[misc]  # rclpy is read as untyped
     """Hands what is published to `episodes`, and tells it when the node shows an object.
 
-    Topics may appear at any time. Each is subscribed to as its publishers offer it.
+    Topics may appear at any time. Each is subscribed to as its publishers offer it. What the node
+    publishes or listens to is subscribed to before anybody publishes it, the latter as the node
+    does: whoever subscribes only once a camera is there misses its first images.
 
     :param node: full name of the node that segments, as /turbseg.
     :param topics: those to be recorded; None for what the node listens to, and what it publishes
@@ -52,7 +84,10 @@ class EpisodeRecorder(Node):  # type: ignore[misc]  # rclpy is read as untyped
         self._watched = name, namespace or "/"
         self._results = node
         self._topics = None if topics is None else {*map(self.resolve_topic_name, topics)}
-        self._heard: dict[str, Subscription] = {}
+        self._result_types = {f"{node}/{name}": kind for name, kind in _SMALL_RESULTS.items()}
+        self._result_types[_DIAGNOSTICS] = _DIAGNOSTICS_TYPE
+        self._heard: dict[str, tuple[_Offer, Subscription]] = {}
+        self._published: set[str] = set()
         self._throttled = ThrottledLogger(self.get_logger(), period=60.0)
         self.create_subscription(
             MarkerArray,
@@ -78,11 +113,17 @@ class EpisodeRecorder(Node):  # type: ignore[misc]  # rclpy is read as untyped
 
     def _look(self) -> None:
         self._episodes.end_if_over(time.time_ns())
-        for topic in sorted(self._wanted() - self._heard.keys()):
+        for topic in sorted(self._wanted()):
             publishers = self.get_publishers_info_by_topic(topic)
-            types = {each.topic_type for each in publishers}
-            if len(types) == 1 and is_installed(next(iter(types))):
-                self._subscribe(topic, next(iter(types)), publishers)
+            if not publishers and topic in self._heard:
+                continue  # once its publisher is gone, the next will most likely offer the same
+            offer = _offered(publishers) if publishers else self._expected(topic)
+            if offer is None or not is_installed(offer.type_name):
+                continue
+            self._hear(topic, offer)
+            if publishers and topic not in self._published:
+                self._published.add(topic)
+                self.get_logger().info(f"recording {topic} ({offer.type_name})")
         if (held := self._episodes.pre_roll.cut_to) is not None:
             self._throttled.warning(
                 "memory",
@@ -92,34 +133,53 @@ class EpisodeRecorder(Node):  # type: ignore[misc]  # rclpy is read as untyped
     def _wanted(self) -> set[str]:
         if self._topics is not None:
             return self._topics
-        wanted = {f"{self._results}/{name}" for name in _SMALL_RESULTS} | {_DIAGNOSTICS}
+        wanted = {*self._result_types}
         if self._watched in self.get_node_names_and_namespaces():
             heard = self.get_subscriber_names_and_types_by_node(*self._watched)
             wanted |= {topic for topic, types in heard if {*types} & {*_INPUT_TYPES}}
         return wanted
 
-    def _subscribe(
-        self, topic: str, type_name: str, publishers: Collection[TopicEndpointInfo]
-    ) -> None:
-        offered = [each.qos_profile for each in publishers]
-        latches = all(each.durability == DurabilityPolicy.TRANSIENT_LOCAL for each in offered)
-        qos = QoSProfile(
-            depth=_DEPTH,
-            reliability=strictest_reliability(offered),
-            durability=(
-                DurabilityPolicy.TRANSIENT_LOCAL if latches else DurabilityPolicy.VOLATILE
-            ),
+    def _expected(self, topic: str) -> _Offer | None:
+        """Return what a topic that nobody publishes will most likely be, None where that is open.
+
+        Its publishers will be such as the node hears, whose own topics are known.
+        """
+        if topic in self._result_types:
+            return _Offer(self._result_types[topic], ReliabilityPolicy.RELIABLE)
+        listening = [
+            each
+            for each in self.get_subscriptions_info_by_topic(topic)
+            if (each.node_name, each.node_namespace) == self._watched
+        ]
+        if len({each.topic_type for each in listening}) != 1:
+            return None
+        asked = {each.qos_profile.reliability for each in listening}
+        reliable = ReliabilityPolicy.RELIABLE in asked
+        return _Offer(
+            listening[0].topic_type,
+            ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
         )
+
+    def _hear(self, topic: str, offer: _Offer) -> None:
+        """Subscribe to a topic, or anew where it is offered otherwise than before."""
+        if topic in self._heard:
+            before, subscription = self._heard[topic]
+            if before == offer:
+                return
+            self.destroy_subscription(subscription)
+        self._heard[topic] = offer, self._subscribe(topic, offer)
+
+    def _subscribe(self, topic: str, offer: _Offer) -> Subscription:
+        qos = QoSProfile(depth=_DEPTH, reliability=offer.reliability, durability=offer.durability)
         self._episodes.add_topic(topic, qos)
-        self._heard[topic] = self.create_subscription(
-            message_class(type_name),
+        return self.create_subscription(
+            message_class(offer.type_name),
             topic,
-            functools.partial(self._record, topic, type_name),
+            functools.partial(self._record, topic, offer.type_name),
             qos,
             raw=True,
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
         )
-        self.get_logger().info(f"recording {topic} ({type_name})")
 
     def _record(self, topic: str, type_name: str, cdr: bytes) -> None:
         self._episodes.write(Record(topic, type_name, time.time_ns(), cdr))
