@@ -90,6 +90,36 @@ def test_rivals_are_scored_beside_the_method(
     assert all(f"\n{name} " in printed for name in names)
 
 
+def test_what_is_marked_to_be_ignored_is_left_out_for_rivals_as_well(
+    bag: Path, tmp_path: Path
+) -> None:
+    mask = np.zeros((120, 208), np.uint8)
+    mask[:, 50:] = 255
+    cv2.imwrite(str(tmp_path / "right.png"), mask)
+    folder = tmp_path / "theirs" / "bag"
+    folder.mkdir(parents=True)
+    for number in range(FRAMES):
+        # They see no more than what is left of it.
+        mask = np.zeros((120, 208), np.uint8)
+        mask[50:75, 20 + 3 * number : 50] = 255
+        cv2.imwrite(str(folder / f"{number:05}.png"), mask)
+    options = ["--baselines", f"theirs={folder.parent}"]
+    whole = evaluated(tmp_path / "whole.json", bag, *options)
+    options += ["-p", f"regions.ignore:={tmp_path / 'right.png'}"]
+    rest = evaluated(tmp_path / "rest.json", bag, *options)
+    assert j_of(whole["baselines"])[1] < 0.7
+    assert j_of(rest["baselines"])[1] == 1.0
+    predictions = tmp_path / "predictions"
+    with BagWriter(predictions) as writer:
+        for number, stamp in enumerate(STAMPS):
+            labels = np.zeros((120, 208), np.uint16)
+            labels[50:75, 20 + 3 * number : 50] = 1
+            writer.write("/turbseg/labels", message_from_image(labels, "mono16", stamp), stamp)
+    recorded = ["--predictions", predictions, *options[2:]]
+    (scores,) = evaluated(tmp_path / "recorded.json", bag, *recorded)["bags"]
+    assert scores["j"] == 1.0
+
+
 def test_masks_of_others_are_scored_beside_ours_and_have_no_time(
     bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -55,6 +55,8 @@ from turbseg_ros.evaluation.table_files import tables_of, write_tables
 from turbseg_ros.evaluation.truth import read_ignored, read_truth
 from turbseg_ros.execution import ClusterError, Failure, Runner, job_runner, usable_workers
 from turbseg_ros.parameters import Parameters
+from turbseg_ros.region_file import marked_regions
+from turbseg_ros.segmentation.marked_regions import MarkedRegions
 
 _METHOD = "turbseg"
 _EXPERIMENTS = (
@@ -76,7 +78,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parameters = parameters_from(options)
     try:
         if options.predictions is not None:
-            return _score_recorded(options)
+            return _score_recorded(options, marked_regions(parameters.regions))
         return _evaluate(options, parameters, sys.argv[1:] if arguments is None else arguments)
     except (ClusterError, EvaluationError, ReportError, UnknownBaselineError) as error:
         raise UsageError(str(error)) from error
@@ -116,13 +118,13 @@ def _check(options: argparse.Namespace) -> None:
             check_folder(folder)
 
 
-def _score_recorded(options: argparse.Namespace) -> int:
+def _score_recorded(options: argparse.Namespace, marked: MarkedRegions) -> int:
     """Score labels that were recorded, against the truth in the bag that they were found in."""
     (bag,) = options.bags
     reader = BagReader(bag)
     truth = read_truth(reader, options.truth_topic)
     predictions = read_labels(BagReader(options.predictions), options.labels_topic)
-    scores = evaluate_labels(str(bag), predictions, truth, read_ignored(reader))
+    scores = evaluate_labels(str(bag), predictions, truth, read_ignored(reader), marked)
     for columns in (COLUMNS, OBJECT_COLUMNS):
         print(*_tables([scores], Table.of_bags([scores.bag], columns).fitted()), sep="\n")
     if options.json is not None:
@@ -220,6 +222,7 @@ def _trials(options: argparse.Namespace, parameters: Parameters) -> list[Run]:
                 options.image_topic,
                 options.truth_topic,
                 section_from(options),
+                parameters.regions,
             ),
             method,
             illustrated=options.report is not None,

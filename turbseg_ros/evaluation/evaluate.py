@@ -5,17 +5,23 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Protocol
 
+import numpy as np
+
+from turbseg_ros.arrays import Mask
 from turbseg_ros.evaluation.labels import LabelsByStamp, StampedLabels
+from turbseg_ros.evaluation.left_out import without_marked
 from turbseg_ros.evaluation.metrics import Labels
 from turbseg_ros.evaluation.reliability import binned, judged
 from turbseg_ros.evaluation.scores import BagScores, Measurements, Scorer
 from turbseg_ros.evaluation.truth import Boxes, IgnoredRegions, Truth
 from turbseg_ros.segmentation.frame import Frame, SegmentationResult, Segmenter, segment
+from turbseg_ros.segmentation.marked_regions import MarkedRegions
 
 _LOGGER = logging.getLogger(__name__)
+_NOTHING = MarkedRegions()
 
 
 class EvaluationError(Exception):
@@ -41,23 +47,26 @@ def evaluate_segmenter(
     truth: Truth,
     observers: Sequence[ResultObserver] = (),
     ignored: IgnoredRegions | None = None,
+    marked: MarkedRegions = _NOTHING,
 ) -> BagScores:
     """Segment the frames of a bag and score the results.
 
     :param ignored: where truth says nothing.
+    :param marked: regions of which a user wants nothing, whoever segments.
     :raises EvaluationError: when no frame has a truth, or one of another size.
+    :raises ParameterError: when frames can't be the pictures that regions were marked in.
     """
     measured = _MeasuredSegmenter(segmenter)
-    scorer = _TruthScorer(bag, truth, ignored)
+    scorer = _TruthScorer(bag, truth, ignored, marked)
     sure: list[tuple[float, bool]] = []
     for result in segment(frames, measured):
         frame = result.frame
         prediction = StampedLabels(frame.stamp, result.labels, frame.received)
-        found = scorer.add(prediction, frame.period, same_recording=True)
-        if found is not None:
-            sure += judged(result, found, scorer.ignored_at(frame.stamp))
+        held = scorer.add(prediction, frame.period, same_recording=True)
+        if held.truth is not None:
+            sure += judged(result, held.truth, held.ignored)
         for observer in observers:
-            observer.add(result, found, scorer.ignored_at(frame.stamp))
+            observer.add(result, held.truth, held.ignored)
     return replace(scorer.scores(measured.measurements), score_bins=binned(sure))
 
 
@@ -66,16 +75,27 @@ def evaluate_labels(
     labels: Iterable[StampedLabels],
     truth: Truth,
     ignored: IgnoredRegions | None = None,
+    marked: MarkedRegions = _NOTHING,
 ) -> BagScores:
     """Score labels that were recorded, from a live node for instance.
 
     :param ignored: where truth says nothing.
+    :param marked: regions of which a user wants nothing.
     :raises EvaluationError: when no labels have a truth, or one of another size.
+    :raises ParameterError: when they can't be of the pictures that regions were marked in.
     """
-    scorer = _TruthScorer(bag, truth, ignored)
+    scorer = _TruthScorer(bag, truth, ignored, marked)
     for prediction in labels:
         scorer.add(prediction)
     return scorer.scores(Measurements())
+
+
+@dataclass(frozen=True)
+class _Held:
+    """What a frame's labels were held against: its truth, if any, and where nothing counts."""
+
+    truth: Labels | Boxes | None
+    ignored: Labels | None
 
 
 class _TruthScorer:
@@ -85,10 +105,14 @@ class _TruthScorer:
     which they were recorded does.
     """
 
-    def __init__(self, bag: str, truth: Truth, ignored: IgnoredRegions | None = None) -> None:
+    def __init__(
+        self, bag: str, truth: Truth, ignored: IgnoredRegions | None, marked: MarkedRegions
+    ) -> None:
         self._bag = bag
         self._truth = truth
         self._ignored = ignored or IgnoredRegions()
+        self._marked = marked
+        self._mask = np.zeros((0, 0), bool)
         self._scorer = Scorer()
         self._frames = 0
         # Label images until some truth belongs to one; where stamps tell, none are needed.
@@ -99,8 +123,8 @@ class _TruthScorer:
         prediction: StampedLabels,
         period: float | None = None,
         same_recording: bool = False,
-    ) -> Labels | Boxes | None:
-        """Score the next label image; return the truth that it was held against.
+    ) -> _Held:
+        """Score the next label image; return what it was held against.
 
         :param period: seconds from one frame to the next, where it is known.
         :param same_recording: whether it has the times of its frame, which lies beside the truth.
@@ -108,24 +132,33 @@ class _TruthScorer:
         self._frames += 1
         stamp = prediction.stamp
         true = self._truth.at(stamp, prediction.recorded, period, same_recording)
-        if true is not None:
+        held = self._held(true, self._ignored.at(stamp), prediction.labels.shape)
+        if held.truth is not None:
             self._unmatched = None
-            self._score(prediction.labels, true, self.ignored_at(stamp))
+            self._score(prediction.labels, held)
         elif self._unmatched is not None:
             # By their number: their times are of no use.
             self._unmatched.add(StampedLabels(self._frames, prediction.labels))
-        return true
+        return held
 
-    def ignored_at(self, stamp: int) -> Labels | None:
-        """Return where truth says nothing in the frame with this stamp, HxW; None without."""
-        return self._ignored.at(stamp)
+    def _held(
+        self, true: Labels | Boxes | None, ignored: Labels | None, shape: tuple[int, ...]
+    ) -> _Held:
+        if not self._marked.marked or true is None:
+            return _Held(true, ignored)
+        return _Held(*without_marked(true, ignored, self._marked_in(shape)))
 
-    def _score(self, labels: Labels, true: Labels | Boxes, ignored: Labels | None) -> None:
+    def _marked_in(self, shape: tuple[int, ...]) -> Mask:
+        if self._mask.shape != shape:
+            self._mask = self._marked.ignored((shape[1], shape[0]))
+        return self._mask
+
+    def _score(self, labels: Labels, held: _Held) -> None:
         try:
-            if isinstance(true, tuple):
-                self._scorer.add_boxes(labels, true, ignored)
-            else:
-                self._scorer.add(labels, true, ignored)
+            if isinstance(held.truth, tuple):
+                self._scorer.add_boxes(labels, held.truth, held.ignored)
+            elif held.truth is not None:
+                self._scorer.add(labels, held.truth, held.ignored)
         except ValueError as error:
             raise EvaluationError(f"{self._bag}: {error}") from error
 
@@ -140,7 +173,7 @@ class _TruthScorer:
         )
         truth: Iterable[Labels | Boxes] = self._truth.in_order()
         for number, (labels, true) in enumerate(zip(unmatched.in_order(), truth, strict=True)):
-            self._score(labels, true, self._ignored.at(number))
+            self._score(labels, self._held(true, self._ignored.at(number), labels.shape))
 
     def scores(self, measurements: Measurements) -> BagScores:
         self._score_in_order()

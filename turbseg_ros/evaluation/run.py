@@ -19,7 +19,8 @@ from turbseg_ros.evaluation.scores import BagScores
 from turbseg_ros.evaluation.truth import BoxesByStamp, read_ignored, read_truth
 from turbseg_ros.execution import Progress
 from turbseg_ros.overlay import DEFAULT_ANNOTATORS, OutlineAnnotator
-from turbseg_ros.parameters import ParameterError
+from turbseg_ros.parameters import ParameterError, RegionsParameters
+from turbseg_ros.region_file import marked_regions
 from turbseg_ros.segmentation.frame import Frame
 
 
@@ -27,7 +28,8 @@ from turbseg_ros.segmentation.frame import Frame
 class Source:
     """A bag with its truth: what tables call it, where it lies, which topics and part to take.
 
-    Without an `image_topic` the bag must have images on one topic only.
+    Without an `image_topic` the bag must have images on one topic only. What `regions` mark to be
+    ignored is left out of the scores, whoever segments.
     """
 
     name: str
@@ -35,6 +37,7 @@ class Source:
     image_topic: str | None
     truth_topic: str
     section: Section = WHOLE
+    regions: RegionsParameters = field(default_factory=RegionsParameters)
 
     @property
     def clip(self) -> str:
@@ -107,6 +110,7 @@ class Run:
                 truth,
                 [] if illustrator is None else [illustrator],
                 ignored,
+                marked_regions(self.source.regions),
             )
         except DisturbanceError as error:
             raise EvaluationError(f"{self.source.name}: {error}") from error

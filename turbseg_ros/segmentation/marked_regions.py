@@ -147,18 +147,37 @@ class MarkedRegions:
         :raises ParameterError: when one was marked in pictures of other proportions, or nothing
             is left to look at.
         """
+        self.ignored(resolution.input)
+        return FittedRegions(self.marked, resolution)
+
+    def ignored(self, size: Size) -> Mask:
+        """Return where nothing is looked for in pictures that come at a size, HxW.
+
+        :raises ParameterError: as `fitted` does.
+        """
         for region in self.marked:
-            marked_in, taken = region.shape.size, resolution.input
-            if marked_in is not None and not _same_view(marked_in, taken):
+            marked_in = region.shape.size
+            if marked_in is not None and not _same_view(marked_in, size):
                 raise ParameterError(
                     f"{region.source}: {marked_in[0]}x{marked_in[1]} pixels, which images "
-                    f"of {taken[0]}x{taken[1]} can't be, scaled or not"
+                    f"of {size[0]}x{size[1]} can't be, scaled or not"
                 )
-        fitted = FittedRegions(self.marked, resolution)
-        if self.marked and fitted.ignored(resolution.input).all():
+        ignored = _ignored(self.marked, size)
+        if ignored.all():
             sources = ", ".join(dict.fromkeys(region.source for region in self.marked))
             raise ParameterError(f"{sources}: nothing of the picture is left to look at")
-        return fitted
+        return ignored
+
+
+def _ignored(marked: Sequence[MarkedRegion], size: Size) -> Mask:
+    """Return every ignored region and, where any are to be included, all that lies in none."""
+    shape = size[1], size[0]
+    included = [region.shape.mask(size) for region in marked if not region.ignored]
+    ignored = ~np.logical_or.reduce(included) if included else np.zeros(shape, bool)
+    for region in marked:
+        if region.ignored:
+            ignored |= region.shape.mask(size)
+    return ignored
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,18 +188,8 @@ class FittedRegions:
     resolution: Resolution
 
     def ignored(self, size: Size) -> Mask:
-        """Return where nothing is looked for, in a picture of a size, HxW.
-
-        That is every ignored region and, where any are to be included, what lies in none of
-        those.
-        """
-        shape = size[1], size[0]
-        included = [region.shape.mask(size) for region in self.marked if not region.ignored]
-        ignored = ~np.logical_or.reduce(included) if included else np.zeros(shape, bool)
-        for region in self.marked:
-            if region.ignored:
-                ignored |= region.shape.mask(size)
-        return ignored
+        """Return where nothing is looked for, in a picture as it is worked on at a size, HxW."""
+        return _ignored(self.marked, size)
 
     def without_seeds(self, noise: Map, objects: Mask) -> Map:
         """Return a motion map's noise, HxW, infinite where nothing may be a seed.
