@@ -91,6 +91,25 @@ def wait(tracker: KalmanTracker, frames: int) -> None:
         assert update(tracker, []) == []
 
 
+def test_what_rests_where_an_object_went_out_of_sight_is_not_taken_for_it() -> None:
+    tracker = tracker_of()
+    follow(tracker, range(12), (5, 30), (3, 0))
+    wait(tracker, 3)
+    # What hides it stands out a little from what was seen there before.
+    hiding = [seen(5 + 3 * frame, 28, height=16, moving=False) for frame in range(15, 18)]
+    for detection in hiding:
+        assert [each.track.confirmed for each in update(tracker, [detection])] == [False]
+    behind = only(update(tracker, [crossing(18, (5, 30), (3, 0))]))
+    assert behind.track.id == 1
+
+
+def test_an_object_that_stops_in_sight_is_seen_on() -> None:
+    tracker = tracker_of()
+    last = follow(tracker, range(12), (5, 30), (3, 0))
+    for _ in range(4):
+        assert only(update(tracker, [seen(5 + 33, 30, moving=False)])).track is last.track
+
+
 def test_a_candidate_knows_its_area_and_centroid() -> None:
     mask = np.array([[True, True, False], [True, False, False]])
     detection = Detection(Box(10, 20, 13, 22), mask, (0.0, 0.0), True)

@@ -50,6 +50,9 @@ _TRAVELLED = 0.5
 # Least displacement of what no flow shows to move, in roots of its area, and over its path
 # length.
 _CLEAR, _STRAIGHT = 1.0, 0.75
+# Frames without an object after which it is out of sight, pixels a frame from which it then goes
+# on, and the share of its speed by which what moves otherwise is none of it.
+_LOST, _PASSING, _OTHER_SPEED = 2, 0.5, 0.5
 # Frames for which the place of one that got nowhere is remembered.
 _CLUTTER_SPAN = 300
 
@@ -375,6 +378,18 @@ def _may_be_noise(track: Track, detection: Detection) -> bool:
     return track.shape_iou(detection) < _MIN_SHAPE_IOU
 
 
+def _passes_on(track: Track, detection: Detection) -> bool:
+    """Whether an object that was lost from sight goes on, and an outline on its way rests.
+
+    What hides it is looked at where it should be, and may stand out from what was seen there.
+    """
+    if track.misses < _LOST or detection.moving or not detection.flow_known:
+        return False
+    speed = float(np.hypot(*track.velocity))
+    change = float(np.hypot(*np.subtract(detection.velocity, track.velocity)))
+    return speed > _PASSING and change > _OTHER_SPEED * speed
+
+
 def _has_claim(expected: CroppedMask, detection: Detection) -> bool:
     common = np.count_nonzero(expected.within(detection.box) & detection.mask)
     return bool(common > _CLAIM * min(expected.area, detection.area))
@@ -383,7 +398,7 @@ def _has_claim(expected: CroppedMask, detection: Detection) -> bool:
 def _cost(track: Track, detection: Detection, tilt: float) -> float:
     if track.targets & detection.targets:
         return _SAME_TARGET
-    if _may_be_noise(track, detection):
+    if _may_be_noise(track, detection) or _passes_on(track, detection):
         return _UNMATCHABLE
     height, width = track.detection.box.shape
     other_height, other_width = detection.box.shape
