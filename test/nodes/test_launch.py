@@ -17,10 +17,14 @@ from support.paths import CONFIG, ROOT
 from support.result_topics import fresh_outputs
 from support.stub_segmenter import StubSegmenter
 from turbseg_ros.bag.reader import BagReader
+from turbseg_ros.cli import __main__ as cli
 from turbseg_ros.cli import replay
 from turbseg_ros.messages.results import views
+from turbseg_ros.parameters import Parameters
 
 LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch.py"))
+# What has no default.
+CAMERAS = {"cameras.launch.py": {"cameras": "north"}}
 
 
 @pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path: path.name)
@@ -100,27 +104,48 @@ class StandIn:
         return hash(self.value)
 
 
-def launched_node(path, monkeypatch, **arguments):
-    """Return what a launch file starts, from stand-ins for the launch packages."""
-    started: list[dict[str, object]] = []
-    defaults: dict[str, object] = {}
+class Launched:
+    """What a launch file declares and starts, of stand-ins for the launch packages."""
+
+    def __init__(self):
+        self.arguments: dict[str, object] = {}
+        self.descriptions: dict[str, str] = {}
+        self.nodes: list[dict[str, object]] = []
+        self.included: list[tuple[str, dict[str, str]]] = []
+
+
+def launched(path, monkeypatch, **arguments):
+    """Run a launch file with stand-ins for the launch packages."""
+    what = Launched()
+    defaults = what.arguments
 
     def declare(name, default_value="", description=""):
         if isinstance(default_value, list):
             default_value = "".join(getattr(part, "value", part) for part in default_value)
         defaults[name] = arguments.get(name, default_value)
+        what.descriptions[name] = description
+
+    def include(source, launch_arguments):
+        what.included.append((source, dict(launch_arguments)))
 
     launch, ros = types.ModuleType("launch"), types.ModuleType("launch_ros")
     modules = {
         "launch": launch,
         "launch.actions": types.SimpleNamespace(
-            DeclareLaunchArgument=declare, OpaqueFunction=lambda function: function(None)
+            DeclareLaunchArgument=declare,
+            OpaqueFunction=lambda function: function(None),
+            IncludeLaunchDescription=include,
+        ),
+        "launch.launch_description_sources": types.SimpleNamespace(
+            PythonLaunchDescriptionSource=lambda parts: "".join(map(str, parts))
         ),
         "launch.substitutions": types.SimpleNamespace(
-            LaunchConfiguration=lambda name: StandIn(defaults[name])
+            LaunchConfiguration=lambda name: StandIn(defaults[name]),
+            PathJoinSubstitution="/".join,
+            ThisLaunchFileDir=lambda: str(path.parent),
         ),
         "launch_ros": ros,
-        "launch_ros.actions": types.SimpleNamespace(Node=lambda **given: started.append(given)),
+        "launch_ros.actions": types.SimpleNamespace(Node=lambda **given: what.nodes.append(given)),
         "launch_ros.substitutions": types.SimpleNamespace(FindPackageShare=str),
     }
     launch.__dict__["LaunchDescription"] = list
@@ -130,8 +155,45 @@ def launched_node(path, monkeypatch, **arguments):
     content: dict[str, Any] = {}
     exec(compile(path.read_text(), path, "exec"), content)
     content["generate_launch_description"]()
-    (node,) = started
+    assert set(arguments) <= set(defaults)
+    return what
+
+
+def launched_node(path, monkeypatch, **arguments):
+    """Return the node that a launch file starts."""
+    (node,) = launched(path, monkeypatch, **arguments).nodes
     return node
+
+
+def test_launch_files_name_what_there_is(monkeypatch):
+    what = launched(ROOT / "launch" / "turbseg.launch.py", monkeypatch, transport="x", regions="y")
+    (node,) = what.nodes
+    assert node["package"] == "turbseg_ros"
+    assert callable(getattr(cli, str(node["executable"]).removeprefix("turbseg_")))
+    _, given = node["parameters"]
+    assert set(given) - {"use_sim_time"} <= set(Parameters().as_mapping())
+    presets = what.descriptions["preset"].partition(": ")[2].rstrip(".").split(", ")
+    assert len(presets) > 2
+    assert all((CONFIG / f"{name}.yaml").is_file() for name in [*presets, "live"])
+
+
+def test_each_camera_gets_a_node_in_its_namespace(monkeypatch):
+    launch_file = ROOT / "launch" / "cameras.launch.py"
+    what = launched(launch_file, monkeypatch, cameras="north, south,")
+    one = str(ROOT / "launch" / "turbseg.launch.py")
+    assert what.included == [(one, {"namespace": "north"}), (one, {"namespace": "south"})]
+    declared = launched(ROOT / "launch" / "turbseg.launch.py", monkeypatch).arguments
+    assert "namespace" in declared
+
+
+def test_documents_launch_with_arguments_that_there_are(monkeypatch):
+    documents = [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]
+    lines = "\n".join(path.read_text() for path in documents).replace("\\\n", " ")
+    commands = re.findall(r"^ros2 launch turbseg_ros (\S+)(.*)$", lines, re.M)
+    assert len(commands) > 2
+    for name, rest in commands:
+        declared = launched(ROOT / "launch" / name, monkeypatch, **CAMERAS.get(name, {})).arguments
+        assert set(re.findall(r"(\w+):=", rest)) <= set(declared), rest
 
 
 def test_the_launch_file_remaps_no_camera_info_by_default(monkeypatch):
