@@ -42,7 +42,8 @@ class WorkerPool:
         traceback: TracebackType | None,
     ) -> None:
         if error_type is not None:
-            _terminate([worker.pid for worker in self._all])
+            for worker in self._all:
+                worker.terminate()
         for worker in self._all:
             worker.executor.shutdown(cancel_futures=True)
 
@@ -91,7 +92,7 @@ class WorkerPool:
 
 
 class _Worker:
-    """One process; `pid` comes once it has started."""
+    """One process."""
 
     def __init__(self) -> None:
         self.executor = ProcessPoolExecutor(
@@ -102,8 +103,11 @@ class _Worker:
             initargs=(1,),
         )
         with _interrupts_held_back():
+            before = multiprocessing.active_children()
             # Starts the process, which keeps to itself what is held back here.
-            self.pid = self.executor.submit(os.getpid)
+            self.executor.submit(os.getpid)
+            children = multiprocessing.active_children()
+            self._process = next((child for child in children if child not in before), None)
 
     def submit(self, function: Callable[[Item], Result], item: Item) -> Future[Result]:
         """Let the process call a function."""
@@ -115,6 +119,11 @@ class _Worker:
             broken.set_exception(error)
             return broken
 
+    def terminate(self) -> None:
+        """End the process, whatever it does, unless it has ended before."""
+        if self._process is not None:
+            self._process.terminate()
+
 
 @contextlib.contextmanager
 def _interrupts_held_back() -> Iterator[None]:
@@ -123,11 +132,3 @@ def _interrupts_held_back() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def _terminate(pids: Sequence[Future[int]]) -> None:
-    """End worker processes, those that have not started yet excepted: they find nothing to do."""
-    started = {pid.result() for pid in pids if pid.done() and pid.exception() is None}
-    for process in multiprocessing.active_children():
-        if process.pid in started:
-            process.terminate()
