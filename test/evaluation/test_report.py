@@ -32,7 +32,7 @@ from turbseg_ros.evaluation.report import ReportError, ReportWriter
 from turbseg_ros.evaluation.scores import Measurements, Scorer
 from turbseg_ros.messages.detections import Detection
 from turbseg_ros.parameters import Parameters
-from turbseg_ros.segmentation.frame import Frame, SegmentationResult
+from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResult
 
 pytest.importorskip("jinja2", reason="Jinja is not installed")
 
@@ -50,7 +50,12 @@ class DarkAreas:
 
     def push(self, frame: Frame) -> list[SegmentationResult]:
         labels = (frame.image < 60).astype(np.uint16)
-        return [SegmentationResult(frame, labels, (), np.zeros((0, 0), np.float32), 0.4, "affine")]
+        left, top, width, height = cv2.boundingRect(labels.astype(np.uint8))
+        score = 0.6 if left < 30 else 0.99
+        box, centre = (left, top, width, height), (left + width / 2, top + height / 2)
+        found = MovingObject(1, 0, centre, (3.0, 0.0), width * height, box, score=score)
+        motion = np.zeros((0, 0), np.float32)
+        return [SegmentationResult(frame, labels, (found,), motion, 0.4, "affine")]
 
     def flush(self) -> list[SegmentationResult]:
         return []
@@ -118,8 +123,12 @@ def test_the_page_shows_every_experiment_and_picture(page: Path) -> None:
         assert f'id="{key}"' in text
     # For each bag 6 tiles and the same frame by 5 segmenters; this method has no bad frames.
     assert text.count("<img") == 2 * (6 + 5)
-    # Two curves, and J over the frames of each bag.
-    assert text.count("<svg") == 4
+    # Two curves, J over the frames of each bag, and whether scores are what they say.
+    assert text.count("<svg") == 5
+    assert re.search(r'aria-label="Whether scores are what they say"', text)
+    # All of both scores are true.
+    assert re.search(r"objects that are true: 1.000 at 0.6<", text)
+    assert re.search(r"as scores say: 0.990 at 0.99<", text)
     assert "max_objects" in text
 
 

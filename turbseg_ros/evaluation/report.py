@@ -116,6 +116,7 @@ class ReportWriter:
             scores=[dataclasses.asdict(bag) for bag in scores],
             mean=mean_scores(scores),
             reliability=_reliability(scores),
+            reliability_curve=_reliability_curve([each for _, each in _reliability(scores)]),
             summary=_summary(scores),
             short=short_names([bag.bag for bag in scores]),
             experiments=[_view(experiment) for experiment in report.experiments],
@@ -134,6 +135,19 @@ def _reliability(scores: Sequence[BagScores]) -> list[tuple[str, ScoreBin]]:
     ranges = [f"{low:g} to {high:g}" for low, high in itertools.pairwise(EDGES)]
     bins = pooled(given) if given else ()
     return [(text, each) for text, each in zip(ranges, bins, strict=False) if each.objects]
+
+
+def _reliability_curve(bins: Sequence[ScoreBin]) -> Chart | None:
+    """Return the share of true objects over their scores, None where one bin holds them all."""
+    points = [(each.mean_score, each.share_true) for each in bins]
+    true = tuple(
+        (score, share) for score, share in points if score is not None and share is not None
+    )
+    if len(true) < 2:
+        return None
+    ideal = tuple((score, score) for score, _ in (true[0], true[-1]))
+    lines = (Line("objects that are true", true), Line("as scores say", ideal))
+    return Chart("Whether scores are what they say", "score", "share true", lines)
 
 
 @dataclass(frozen=True)
