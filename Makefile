@@ -65,7 +65,8 @@ figures: venv ## the tables and pictures of the documents
 	$(BIN)/python -m turbseg_ros.cli evaluate bags/* --baselines mog2,knn,paper --report out/report
 	$(BIN)/python -m turbseg_ros.cli evaluate bags/normal bags/thermal --baselines mog2,knn,paper \
 		--tilt-curve 0,0.5,1,2 --shake-curve 0,2,4 --curves docs/images
-	rm -rf out/severe
+	rm -rf out/severe out/far_target
+	$(BIN)/python -m turbseg_ros.cli replay bags/far_target -o out/far_target --overlay docs/images/far_target.jpg
 	$(BIN)/python -m turbseg_ros.cli replay bags/severe -o out/severe --overlay docs/images/severe.jpg
 	$(BIN)/python -m turbseg_ros.cli stages bags/normal -o docs/images/stages.jpg
 

@@ -91,6 +91,20 @@ def test_the_readme_leads_to_every_document() -> None:
     assert others - linked == set()
 
 
+def test_the_readmes_results_are_those_of_the_accuracys_page() -> None:
+    rows = re.findall(
+        r"^\| (?:real|rendered|the same)\b.*\(([^()]+)\) \| (.+) \|$", README.read_text(), re.M
+    )
+    assert len(rows) > 3
+    lines = [line.strip() for line in (ROOT / "docs" / "accuracy.md").read_text().splitlines()]
+    for names, cells in rows:
+        columns = [cell.split("; ") for cell in cells.split(" | ") if cell != "-"]
+        for number, name in enumerate(names.split("; ")):
+            values = {column[number] for column in columns}
+            known = [set(line.split()) for line in lines if line.startswith(f"{name}  ")]
+            assert any(values <= row for row in known), (name, values)
+
+
 # A file as a path of this repository, or by its last part alone.
 FILE = re.compile(
     r"(?<![\w./~$})<>-])(?:[\w.-]+/)*[\w-]+\.(?:py|md|yaml|xml|rviz|onnx|safetensors)\b"

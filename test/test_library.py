@@ -68,8 +68,8 @@ def test_the_package_itself_loads_nothing_slow() -> None:
 
 
 def test_the_lines_in_the_documents_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    text = (ROOT / "docs" / "library.md").read_text()
-    blocks = re.findall(r"```python\n(.*?)```", text, re.S)
-    assert blocks
-    for block in blocks:
-        exec(compile(block, "docs/library.md", "exec"), {"images": images(30)})
+    for document in (ROOT / "README.md", ROOT / "docs" / "library.md"):
+        blocks = re.findall(r"```python\n(.*?)```", document.read_text(), re.S)
+        assert blocks
+        for block in blocks:
+            exec(compile(block, str(document), "exec"), {"images": images(30)})
