@@ -80,6 +80,16 @@ def simplified_outlines(
     ]
 
 
+def text_height(height: int) -> float:
+    """Return the height of a digit in pixels that stays readable on a picture of a height."""
+    return float(np.clip(height / 28.0, 9.0, 30.0))
+
+
+def line_width(width: int) -> int:
+    """Return the width of an outline in pixels: two, and more on wide pictures."""
+    return max(2, round(width / _WIDTH_PER_PIXEL))
+
+
 @dataclass(frozen=True)
 class Canvas:
     """A picture to draw on: uint8 HxWx3, `scale` of its pixels to one of the frame's."""
@@ -100,12 +110,12 @@ class Canvas:
     @property
     def text_scale(self) -> float:
         """Font scale at which a digit stays readable, whatever the size of the canvas."""
-        return float(np.clip(self.image.shape[0] / 28.0, 9.0, 30.0)) / _FONT_HEIGHT
+        return text_height(self.image.shape[0]) / _FONT_HEIGHT
 
     @property
     def line_width(self) -> int:
-        """Width of an outline in pixels: two, and more on large canvases."""
-        return max(2, round(self.image.shape[1] / _WIDTH_PER_PIXEL))
+        """Width of an outline in pixels."""
+        return line_width(self.image.shape[1])
 
     def fixed_point(self, points: npt.ArrayLike) -> npt.NDArray[np.int32]:
         """Return frame positions (x, y) on the canvas, in OpenCV's fixed-point numbers."""

@@ -94,6 +94,20 @@ def test_another_library_reads_outlines_and_names(definitions: Mapping[str, str]
     assert all(text.position.y >= text.font_size for text in message.texts)
 
 
+@pytest.mark.parametrize(("size", "thickness"), [((60, 90), 2.0), ((1080, 1920), 4.0)])
+def test_lines_and_letters_go_by_the_pictures_size(
+    size: tuple[int, int], thickness: float
+) -> None:
+    small = result((5, 40, 10, 8))
+    labels = np.zeros(size, np.uint16)
+    labels[40:48, 5:15] = 1
+    message = store_of(DEFINITIONS).deserialize_cdr(
+        image_annotations(replace(small, labels=labels)), TYPE_NAME
+    )
+    assert message.points[0].thickness == thickness
+    assert message.texts[0].font_size == pytest.approx(np.clip(size[0] / 28, 9, 30) / 0.7)
+
+
 def test_names_tell_the_speed_where_it_is_known() -> None:
     found = result((5, 7, 10, 8))
     found = replace(found, objects=(replace(found.objects[0], period=0.1),))

@@ -17,7 +17,7 @@ from turbseg_ros.messages.layout import (
     layout_of_definitions,
     serialised_fields,
 )
-from turbseg_ros.overlay import colour_of, simplified_outlines
+from turbseg_ros.overlay import colour_of, line_width, simplified_outlines, text_height
 from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResult
 
 TYPE_NAME = "foxglove_msgs/msg/ImageAnnotations"
@@ -56,8 +56,8 @@ DEPENDENCIES = ("builtin_interfaces/msg/Time",)
 """What else it is made of."""
 
 _LINE_LOOP = 2
-# Pixels of the image.
-_THICKNESS, _FONT_SIZE, _ABOVE = 2.0, 14.0, 3.0
+# Of a font's size, the part above the base line; and pixels from a text to its object.
+_CAPITALS, _ABOVE = 0.7, 3.0
 
 
 @functools.cache
@@ -72,16 +72,18 @@ def image_annotations(result: SegmentationResult, layout: Layout | None = None) 
     :param layout: that of the type, by default that of the installed package or of Jazzy's.
     """
     stamp = _stamp(result.frame)
+    height, width = result.labels.shape
+    thickness, font_size = line_width(width), text_height(height) / _CAPITALS
     return serialised_fields(
         TYPE_NAME,
         {
             "timestamp": stamp,
             "points": [
-                _loop(stamp, found, contour)
+                _loop(stamp, found, contour, thickness)
                 for found in result.objects
                 for contour in simplified_outlines(result.labels, found)
             ],
-            "texts": [_text(stamp, found) for found in result.objects],
+            "texts": [_text(stamp, found, font_size) for found in result.objects],
         },
         layout or _layout(),
     )
@@ -92,17 +94,17 @@ def no_annotations(frame: Frame) -> bytes:
     return serialised_fields(TYPE_NAME, {"timestamp": _stamp(frame)}, _layout())
 
 
-def _loop(stamp: Any, found: MovingObject, contour: Any) -> dict[str, Any]:
+def _loop(stamp: Any, found: MovingObject, contour: Any, thickness: float) -> dict[str, Any]:
     return {
         "timestamp": stamp,
         "type": _LINE_LOOP,
         "points": [_point(x + 0.5, y + 0.5) for x, y in contour.tolist()],
         "outline_color": _colour(found.id),
-        "thickness": _THICKNESS,
+        "thickness": thickness,
     }
 
 
-def _text(stamp: Any, found: MovingObject) -> dict[str, Any]:
+def _text(stamp: Any, found: MovingObject, font_size: float) -> dict[str, Any]:
     text = str(found.id)
     if (velocity := found.velocity_per_second) is not None:
         text += f" {math.hypot(*velocity):.0f} px/s"
@@ -110,9 +112,9 @@ def _text(stamp: Any, found: MovingObject) -> dict[str, Any]:
     return {
         "timestamp": stamp,
         # Of its lower left corner; above the picture nothing would be seen.
-        "position": _point(left, max(top - _ABOVE, _FONT_SIZE)),
+        "position": _point(left, max(top - _ABOVE, font_size)),
         "text": text,
-        "font_size": _FONT_SIZE,
+        "font_size": font_size,
         "text_color": _colour(found.id),
     }
 
