@@ -75,7 +75,7 @@ def test_the_workspace_goes_before_other_installations(workspace):
         cwd=workspace,
         capture_output=True,
         text=True,
-        timeout=30,
+        timeout=100,
         check=True,
     )
     assert (workspace / "install") in Path(shown.stdout.strip()).parents

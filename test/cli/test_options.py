@@ -69,6 +69,6 @@ def test_the_shell_completes_options(tmp_path: Path) -> None:
         "COMP_POINT": str(len(line)),
     }
     program = "from turbseg_ros.cli.__main__ import replay; replay()"
-    subprocess.run([sys.executable, "-c", program], env=environment, timeout=30, check=True)
+    subprocess.run([sys.executable, "-c", program], env=environment, timeout=100, check=True)
     offered = {word.strip() for word in answer.read_text().split("\x0b")}
     assert offered == {"--objects", "--object-pictures"}
