@@ -190,6 +190,32 @@ def test_noise_does_not_keep_a_scene_from_being_registered() -> None:
     np.testing.assert_allclose(found.motion @ (216, 121, 1), (219, 119, 1), atol=0.6)
 
 
+def through_air(image: ByteImage, tilt: float, seed: int) -> ByteImage:
+    """Return a picture whose places are moved by so many pixels rms an axis, neighbours alike."""
+    random = np.random.default_rng(seed)
+    height, width = image.shape
+    noise = random.normal(size=(height, width, 2)).astype(np.float32)
+    field = cv2.GaussianBlur(noise, None, 9.0)
+    field *= tilt / field.std()
+    there = (pixel_grid((height, width)).reshape(height, width, 2) + field).astype(np.float32)
+    return cv2.remap(image, there, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
+
+
+@pytest.mark.parametrize("step", [(0, 0), (6, -4)], ids=str)
+def test_a_scene_through_strong_turbulence_is_registered(step: tuple[int, int]) -> None:
+    shape = (243, 432)
+    fine, coarse = (texture(shape, seed=7, low=0, high=255, grain=g) for g in (1.5, 9.0))
+    scene = cv2.addWeighted(fine, 0.4, coarse, 0.6, 0.0)
+    for seed in range(4):
+        source = through_air(scene, 2.0, seed)
+        target = warped(through_air(scene, 2.0, seed + 100), shift(*step))
+        found = register(source, target)
+        assert found is not None
+        assert found.is_supported
+        middle = found.motion @ (216.0, 121.0, 1.0)
+        np.testing.assert_allclose(middle[:2], np.add((216, 121), step), atol=1.5)
+
+
 def test_what_has_no_vote_does_not_register_the_picture() -> None:
     """A lorry over two thirds of the view moves, the ground behind it stays."""
     pictures = []

@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from turbseg_ros.arrays import ByteImage, Mask, Matrix
 from turbseg_ros.segmentation.exposure import exposure_between
-from turbseg_ros.segmentation.geometry import pixel_grid, translation
+from turbseg_ros.segmentation.geometry import pixel_grid, scaling, translation
 
 Points = npt.NDArray[np.float32]
 
@@ -29,6 +29,8 @@ Points = npt.NDArray[np.float32]
 _CORNERS, _MIN_QUALITY, _CORNER_DISTANCE = 400, 2e-4, 8
 # The translation is a good guess: what is left fits into a small pyramid.
 _LK_WINDOW, _LK_LEVELS = (11, 11), 2
+# How many times smaller pictures are in which corners are followed where these don't agree.
+_COARSE = (2.0, 4.0)
 _MIN_CORNERS = 12
 _RANSAC_REPROJECTION_PIXELS = 1.0
 # Two pictures have nothing in common when the peak of their phase correlation, times the root of
@@ -127,9 +129,8 @@ def register(
         in. Its corners aren't followed.
     """
     # Half of the resolution tells as well what to follow, and about where it has gone.
-    size = (source.shape[1] // 2, source.shape[0] // 2)
-    halves = [cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in (source, target)]
-    scene = _scene(voteless, (size[1], size[0]))
+    halves = [_halved(image) for image in (source, target)]
+    scene = _scene(voteless, (halves[0].shape[0], halves[0].shape[1]))
     coarse, peak = phase_correlation(*_without(halves, scene))
     if not _fits_more_of_it(halves[0], halves[1], coarse[:2, 2]):
         coarse = np.eye(3)
@@ -137,7 +138,11 @@ def register(
     # Lucas-Kanade takes a change of exposure for motion.
     source = exposure_between(source, target, translation(*-shift)).applied_to(source, channels=1)
     corners = _corners(halves[0], scene)
-    found = _by_corners(source, target, corners, shift) or _by_shift(source, target, shift, scene)
+    found = (
+        _by_corners(source, target, corners, shift)
+        or _by_coarse_corners(halves[0], halves[1], coarse[:2, 2], scene)
+        or _by_shift(source, target, shift, scene)
+    )
     by_chance = peak * np.sqrt(halves[0].size) < _CHANCE_PEAK
     if by_chance and _correlation(source, target, found.motion) < _MIN_CORRELATION:
         return None
@@ -240,6 +245,38 @@ def _by_corners(
         if motion is not None and _is_confirmed(model, motion, corners, there, alike, size):
             return Registration(np.vstack([motion, [0.0, 0.0, 1.0]]), model)
     return None
+
+
+def _by_coarse_corners(
+    source: ByteImage,
+    target: ByteImage,
+    shift: npt.NDArray[np.float64],
+    scene: ByteImage | None,
+) -> Registration | None:
+    """Return what corners confirm in pictures of half the size, or a quarter; else None.
+
+    Strong turbulence moves each corner its own way by pixels: those of larger things less so.
+
+    :param source: at half of the size, as all the others.
+    :param shift: about how far `source` has moved to become `target`, (x, y).
+    :param scene: what may vote; None where all of it may.
+    """
+    source = exposure_between(source, target, translation(*-shift)).applied_to(source, channels=1)
+    for size in _COARSE:
+        smaller, target_smaller = _halved(source), _halved(target)
+        scene_smaller = None if scene is None else np.ascontiguousarray(scene[1::2, 1::2])
+        found = _by_corners(source, target, _corners(smaller, scene_smaller), shift)
+        if found is not None:
+            scale = scaling(size, size)
+            return Registration(scale @ found.motion @ np.linalg.inv(scale), found.model)
+        source, target, scene, shift = smaller, target_smaller, scene_smaller, shift / 2.0
+    return None
+
+
+def _halved(image: ByteImage) -> ByteImage:
+    size = (image.shape[1] // 2, image.shape[0] // 2)
+    halved: ByteImage = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    return halved
 
 
 def _contrast(image: ByteImage, points: Points) -> npt.NDArray[np.uint8]:
