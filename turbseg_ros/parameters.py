@@ -491,14 +491,23 @@ class TrackingParameters:
     )
     max_age: int = parameter(
         30,
-        "Frames for which an object may be lost, or stand still, before it ends; twice flow.every "
-        "at least.",
+        "Frames for which an object may be lost, or stand still where the picture doesn't show "
+        "it, before it ends; twice flow.every at least.",
         unit="frames",
         # Between two measurements of motion, under load twice flow.every apart, all seem still.
         minimum=8,
         maximum=100000,
         used_when=_KALMAN,
         former_names=("tracking.patience",),
+    )
+    stopped: float = parameter(
+        60.0,
+        "Seconds for which an object that stopped is reported as long as the picture shows it, "
+        "before it is background; 0: for tracking.max_age only.",
+        unit="s",
+        minimum=0.0,
+        maximum=86400.0,
+        used_when=_KALMAN,
     )
 
 

@@ -113,6 +113,22 @@ def test_coming_out_of_hiding_is_no_stop() -> None:
     assert told == [EventKind.ENTERED]
 
 
+def test_what_stood_for_long_becomes_background_once_and_does_not_leave() -> None:
+    watch, told = EventWatch(lambda: 3), list[Event]()
+    way = [2.0 * n for n in range(10)]
+    last = result(10, replace(seen(1, *way), absorbed=True))
+    # The frame that it is told of is repeated.
+    for each in [*(result(n, seen(1, *way[: n + 1])) for n in range(10)), last, last]:
+        told += watch.events(each)
+    told += [event for n in range(11, 20) for event in watch.events(result(n))]
+    assert [event.kind.value for event in told] == ["entered", "background"]
+    assert told[1].stamp == 10 * PERIOD
+    assert told[1].text == (
+        "object 1 stands for so long that it is background at (18, 5), seen for 1.0 s"
+    )
+    assert not watch.end()
+
+
 def states(*spans: tuple[CameraState, int]) -> list[SegmentationResult]:
     each = [state for state, frames in spans for _ in range(frames)]
     return [result(number, camera=state) for number, state in enumerate(each)]

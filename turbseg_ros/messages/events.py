@@ -36,6 +36,7 @@ class EventKind(enum.Enum):
     LEFT = "left"
     STOPPED = "stopped"
     MOVING = "moving"
+    BACKGROUND = "background"
     CAMERA_STILL = "camera_still"
     CAMERA_FOLLOWING = "camera_following"
     CAMERA_SLEWING = "camera_slewing"
@@ -55,6 +56,10 @@ _TEXTS = {
     EventKind.CAMERA_SLEWING: "the camera slews",
     EventKind.CAMERA_LOST: "nothing tells the camera's motion",
     EventKind.BLINDED: "nothing of the picture shows the scene",
+}
+_VERBS = {
+    EventKind.MOVING: "moves again",
+    EventKind.BACKGROUND: "stands for so long that it is background",
 }
 _TROUBLES = (EventKind.CAMERA_LOST, EventKind.BLINDED)
 
@@ -79,9 +84,9 @@ class Event:
             return _TEXTS[self.kind]
         x, y = self.seen.centroid
         width, height = self.seen.box[2:]
-        what = "moves again" if self.kind is EventKind.MOVING else self.kind.value
+        what = _VERBS.get(self.kind, self.kind.value)
         told = f"object {self.seen.id} {what} at ({x:.0f}, {y:.0f})"
-        if self.kind is EventKind.LEFT:
+        if self.kind in (EventKind.LEFT, EventKind.BACKGROUND):
             return f"{told}, seen for {self.seconds:.1f} s"
         return f"{told}, {width}x{height} px" if self.kind is EventKind.ENTERED else told
 
@@ -155,6 +160,12 @@ class EventWatch:
 
     def _of_object(self, seen: MovingObject, stamp: int) -> Iterator[Event]:
         story = self._stories.get(seen.id)
+        if seen.absorbed:
+            # A frame that repeats this one says so, too.
+            if story is not None:
+                del self._stories[seen.id]
+                yield Event(EventKind.BACKGROUND, stamp, seen, (stamp - story.first) / 1e9)
+            return
         if story is None:
             story = self._stories[seen.id] = _Story(stamp, seen, self._frames)
             yield Event(EventKind.ENTERED, stamp, seen, 0.0)

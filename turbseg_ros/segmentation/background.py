@@ -70,6 +70,13 @@ class AlignedFrame:
     to_image: Matrix
     exposure: Exposure | ColourExposure = AS_IT_IS
 
+    def shows_of(self, box: Box) -> bool:
+        """Whether it shows any of a box of the reference frame."""
+        corners = [[box.x0, box.x1, box.x0, box.x1], [box.y0, box.y0, box.y1, box.y1], [1] * 4]
+        x, y = (self.to_image @ corners)[:2]
+        rows, columns = self.scene.image.shape[:2]
+        return bool(x.max() > 0 and x.min() < columns and y.max() > 0 and y.min() < rows)
+
 
 def unmasked(picture: ByteImage) -> MaskedImage:
     """Return the scene that a picture, HxW or HxWxC, shows, no objects hiding it."""
@@ -111,6 +118,17 @@ def background_in(
     lower, median, upper, known = _quartiles_in(box, views, shape or box.shape)
     spread = _without_last(upper - lower) * np.float32(_IQR_TO_SIGMA)
     return Background(_without_last(median).astype(np.float32), spread, known)
+
+
+def cut_out(views: Sequence[AlignedFrame], box: Box, shape: tuple[int, int]) -> list[MaskedImage]:
+    """Return what views show of a box of the reference frame, exposed as that, a scene each.
+
+    :param shape: rows and columns to sample the box at.
+    """
+    if not views:
+        return []
+    samples = _sampled(views, box, shape)[:, :, : shape[1]]
+    return [MaskedImage(np.ascontiguousarray(sample)) for sample in samples]
 
 
 def calm_background_in(

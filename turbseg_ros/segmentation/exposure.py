@@ -54,10 +54,23 @@ class ColourExposure:
 
     channels: tuple[Exposure, ...]
 
+    @classmethod
+    def as_it_is(cls, channels: int) -> ColourExposure:
+        """Return what takes the values of so many channels to themselves."""
+        return cls((AS_IT_IS,) * channels)
+
     def then(self, other: ColourExposure) -> ColourExposure:
         """Return what takes the values on to those of a third frame."""
         pairs = zip(self.channels, other.channels, strict=True)
         return ColourExposure(tuple(one.then(next_one) for one, next_one in pairs))
+
+    def since(self, other: ColourExposure) -> ColourExposure:
+        """Return what takes the values that another exposure leads to to those it leads to."""
+        pairs = zip(self.channels, other.channels, strict=True)
+        gains = [(now, now.gain / then.gain, then) for now, then in pairs]
+        return ColourExposure(
+            tuple(Exposure(gain, now.offset - gain * then.offset) for now, gain, then in gains)
+        )
 
     def applied_to(self, image: ByteImage, channels: int) -> ByteImage:
         """Return an image, HxW or HxWxC, with the first so many channels as the other frame's."""
@@ -98,6 +111,16 @@ def colour_exposure_between(
     step = max(int(np.sqrt(target.shape[0] * target.shape[1] / _COLOUR_SAMPLES)), 1)
     x, y = (each[..., :3] for each in _sampled(source, target, to_source, step))
     return ColourExposure(_exposures(np.ascontiguousarray(x), np.ascontiguousarray(y)))
+
+
+def exposure_of_pixels(source: ByteImage, target: ByteImage) -> ColourExposure:
+    """Estimate what takes the values of pixels to those of others that show the same points.
+
+    :param source: Nx1xC; `target` likewise.
+    """
+    if not source.size:
+        return ColourExposure.as_it_is(source.shape[2])
+    return ColourExposure(_exposures(source, target))
 
 
 def _sampled(

@@ -82,12 +82,14 @@ def object_crops(
     views: Sequence[AlignedFrame],
     motion: MotionEstimate,
     tilt: float,
+    parts: Sequence[AlignedFrame] = (),
 ) -> list[ObjectCrop]:
     """Gather what is known of moving areas; those that touch are looked at together.
 
     :param image: HxWxC, the frame.
     :param views: the scene at other times, for its background.
     :param tilt: rms turbulent motion an axis in pixels.
+    :param parts: parts of the scene at other times, of which crops have those that lie in them.
     """
     shape = (image.shape[0], image.shape[1])
     moving, probable, certain = (
@@ -113,7 +115,7 @@ def object_crops(
             ObjectCrop(
                 box=box,
                 image=np.ascontiguousarray(image[cut]),
-                views=views,
+                views=[*views, *(part for part in parts if part.shows_of(box))],
                 area=AreaMasks(mask, probable[cut], certain[cut], nearest),
                 motion=_cropped(strength, box, shape),
                 tilt=tilt,

@@ -63,7 +63,8 @@ class MovingObject:
     it lives, -1 when all were taken; `velocity` is pixels a frame against the scene; `trail` are
     earlier centroids, oldest first, in this frame's coordinates; `period` is the time from one
     frame to the next in seconds, None where it is not known; `score` is how sure it is, from 0 to
-    1, that something moves there in earnest.
+    1, that something moves there in earnest. One that is `absorbed` stood for so long that it is
+    background from the next frame on.
     """
 
     id: int
@@ -75,6 +76,7 @@ class MovingObject:
     trail: tuple[tuple[float, float], ...] = ()
     period: float | None = None
     score: float = 1.0
+    absorbed: bool = False
 
     @property
     def velocity_per_second(self) -> tuple[float, float] | None:
@@ -99,6 +101,7 @@ class MovingObject:
         origin: tuple[int, int] = (0, 0),
         period: float | None = None,
         score: float = 1.0,
+        absorbed: bool = False,
     ) -> MovingObject:
         """Return the object that a mask, hxw, shows: its centroid, area and box by the mask.
 
@@ -121,6 +124,7 @@ class MovingObject:
             trail=trail,
             period=period,
             score=score,
+            absorbed=absorbed,
         )
 
 

@@ -167,12 +167,19 @@ class KalmanTracker:
         for track in self._tracks:
             track.propagate(ego_motion)
         self._propagate_sites(ego_motion)
+        hidden = {detection.stands for detection in detections if detection.hidden}
+        detections = [detection for detection in detections if not detection.hidden]
         divided, detections = self._divided(detections, tilt, image)
         detections = self._reunited(detections, divided)
         observations = self._seen_beside_others(divided)
-        matched = self._match(detections, tilt, divided)
+        matched = self._match(
+            detections, tilt, [*divided, *(track for track in self._tracks if track.id in hidden)]
+        )
         for index, detection in enumerate(detections):
             known = matched.get(index)
+            if known is None and detection.stands:
+                # That object has ended.
+                continue
             if known is None:
                 track = Track.started(detection, tilt)
                 self._tracks.append(track)
@@ -224,7 +231,8 @@ class KalmanTracker:
         appearances = {
             track: track.appearance.at(track.position)
             for track in self._tracks
-            if track.appearance is not None
+            # What stands is told from others before.
+            if track.appearance is not None and not track.stood
         }
         divided: dict[Track, list[Detection]] = {}
         whole = []
@@ -234,7 +242,7 @@ class KalmanTracker:
                 for track, appearance in appearances.items()
                 if _has_claim(appearance.outline, detection)
             }
-            if len(claiming) < 2:
+            if len(claiming) < 2 or detection.stands:
                 whole.append(detection)
                 continue
             parts = divided_among(detection.outline, claiming, image, tilt, self._depth_order)
@@ -251,12 +259,12 @@ class KalmanTracker:
         A part lies mostly where one object is expected, and on no other more. Those of an object
         that is among the divided ones are added there.
         """
-        objects = [track for track in self._tracks if track.confirmed]
+        objects = [track for track in self._tracks if track.confirmed and not track.stood]
         parts: dict[Track, list[Detection]] = {}
         result = []
         for detection in detections:
             shares = [track.intersection_area(detection) / detection.area for track in objects]
-            if shares and max(shares) > _PART:
+            if shares and not detection.stands and max(shares) > _PART:
                 track = objects[int(np.argmax(shares))]
                 (divided if track in divided else parts).setdefault(track, []).append(detection)
             else:
@@ -341,7 +349,7 @@ class KalmanTracker:
         )
 
     def _drop_lost(self) -> None:
-        stuck = [track for track in self._tracks if track.gets_nowhere()]
+        stuck = [track for track in self._tracks if track.gets_nowhere() and not track.stands]
         self._clutter_sites += [_ClutterSite(track.position, track.size) for track in stuck]
         lost = [
             track
@@ -349,7 +357,11 @@ class KalmanTracker:
             if track.misses > (self._max_age if track.confirmed else 1)
             or track.still > self._max_age
             or track in stuck
-            or not track.keeps_shape(SHAPE_SPAN, _MIN_SHAPE_IOU, known=SHAPE_SPAN)
+            or (
+                not track.stands
+                and not track.keeps_shape(SHAPE_SPAN, _MIN_SHAPE_IOU, known=SHAPE_SPAN)
+            )
+            or track.is_absorbed
         ]
         for track in lost:
             self._end(track)
@@ -390,15 +402,23 @@ def _passes_on(track: Track, detection: Detection) -> bool:
     return speed > _PASSING and change > _OTHER_SPEED * speed
 
 
+def _hides(track: Track, detection: Detection) -> bool:
+    """Whether a detection where an object stood is another one, which may be before it."""
+    return track.stood and track.shape_iou(detection) < _MIN_SHAPE_IOU
+
+
 def _has_claim(expected: CroppedMask, detection: Detection) -> bool:
     common = np.count_nonzero(expected.within(detection.box) & detection.mask)
     return bool(common > _CLAIM * min(expected.area, detection.area))
 
 
 def _cost(track: Track, detection: Detection, tilt: float) -> float:
+    if detection.stands:
+        return _SAME_TARGET if detection.stands == track.id else _UNMATCHABLE
     if track.targets & detection.targets:
         return _SAME_TARGET
-    if _may_be_noise(track, detection) or _passes_on(track, detection):
+    is_other = _may_be_noise(track, detection) or _passes_on(track, detection)
+    if is_other or _hides(track, detection):
         return _UNMATCHABLE
     height, width = track.detection.box.shape
     other_height, other_width = detection.box.shape

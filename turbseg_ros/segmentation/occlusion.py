@@ -112,7 +112,7 @@ def divided_among(
     differences, costs = [], []
     for key, alone in zip(keys, _unshared(expected), strict=True):
         distance, picture = _extended(appearances[key], box)
-        difference = _difference(image[box.slices], picture, reach=1 + round(tilt))
+        difference = difference_beyond(image[box.slices], picture, reach=1 + round(tilt))
         usual = float(difference[alone].mean()) if alone.sum() >= _MIN_SAMPLES else 0.0
         difference /= max(usual, _MIN_DIFFERENCE)
         differences.append(np.minimum(difference, _MAX_DIFFERENCES))
@@ -161,7 +161,7 @@ def _extended(appearance: AppearanceModel, box: Box) -> tuple[Map, ByteImage]:
     return distance, colours[nearest]
 
 
-def _difference(image: ByteImage, picture: ByteImage, reach: int) -> Map:
+def difference_beyond(image: ByteImage, picture: ByteImage, reach: int) -> Map:
     """Return by how many grey values pixels lie outside what a picture shows nearby, hxw.
 
     Tilt moves its parts by about a pixel, so all that it shows within `reach` pixels is allowed.

@@ -11,11 +11,13 @@ import numpy as np
 import numpy.typing as npt
 
 from turbseg_ros.arrays import Mask, Matrix
+from turbseg_ros.parameters import Parameters
 from turbseg_ros.segmentation.areas import MovingArea
 from turbseg_ros.segmentation.background import AlignedFrame, MaskedImage, with_objects_masked
 from turbseg_ros.segmentation.camera_state import CameraState
 from turbseg_ros.segmentation.clutter import CELL, enlarged
 from turbseg_ros.segmentation.cropped_mask import EMPTY_MASK, CroppedMask, union_mask
+from turbseg_ros.segmentation.departed import DepartedObjects
 from turbseg_ros.segmentation.exposure import (
     AS_IT_IS,
     ColourExposure,
@@ -30,7 +32,8 @@ from turbseg_ros.segmentation.observer import StageObserver
 from turbseg_ros.segmentation.refinement import Refiner, refined_masks
 from turbseg_ros.segmentation.resolution import Resolution
 from turbseg_ros.segmentation.standing_out import Past, past_in, standing_areas
-from turbseg_ros.segmentation.track import Detection
+from turbseg_ros.segmentation.stopped import StoppedObjects
+from turbseg_ros.segmentation.track import Detection, Observation
 from turbseg_ros.segmentation.window import FrameWindow
 
 GUARD = 2
@@ -124,18 +127,17 @@ class Outliner:
         resolution: Resolution,
         method: OutlineMethod,
         observer: StageObserver,
-        looks_at_past: bool = False,
+        parameters: Parameters,
     ) -> None:
-        """Set up an outliner of a stream that has no frame yet.
-
-        :param looks_at_past: whether what stands out from the scene's past is looked at as well.
-        """
+        """Set up an outliner of a stream that has no frame yet."""
         self._window = window
         self._resolution = resolution
         self._method = method
         self._observer = observer
-        self._looks_at_past = looks_at_past
+        self._looks_at_past = parameters.looks_at_past
         self._outlook = _Outlook()
+        self._stopped = StoppedObjects(window, resolution, parameters.tracking)
+        self._departed = DepartedObjects(window, resolution)
 
     def detections(
         self,
@@ -155,6 +157,7 @@ class Outliner:
         """
         if moving.measured:
             self._outlook = _Outlook(index)
+        self._stopped.follow(index)
         shape = self._resolution.detail_shape
         image = self._window[index].detail
         measured = union_mask([area.search_mask for area in moving.areas], shape)
@@ -166,7 +169,8 @@ class Outliner:
             with self._observer.stage("crops"):
                 areas = [*moving.areas, *proposed, *_resting_areas(expected, looked_at)]
                 views = self._aligned_frames(index, moving)
-                gathered = object_crops(image, areas, views, moving.motion, tilt)
+                before = self._stopped.views()
+                gathered = object_crops(image, areas, views, moving.motion, tilt, before)
             self._observer.crops(stamp, gathered)
             return gathered
 
@@ -176,11 +180,29 @@ class Outliner:
             if self._window[index].camera.state is CameraState.SLEWING:
                 outlines = _of_known(outlines, union_mask(expected, shape))
         seen_to_move = looked_at if moving.measured else standing
-        return [
+        found = [
             _detection(outline, seen_to_move, standing, moving.motion, self._resolution)
             for outline in outlines
             if outline.area >= _MIN_OUTLINE
         ]
+        return self._stopped.completed(found, expected, looked_at, image, tilt, stamp)
+
+    def remember(
+        self, index: int, moving: Moving, observations: Sequence[Observation], stamp: int
+    ) -> None:
+        """Remember what was there before objects stopped; see `StoppedObjects`.
+
+        :param observations: what the frame shows of objects.
+        :param stamp: the frame's, in nanoseconds.
+        """
+
+        def views() -> list[AlignedFrame]:
+            others = self._window.key_frames(index)
+            frames = zip(others, self._aligned_frames(index, moving), strict=True)
+            return [frame for other, frame in frames if other < index]
+
+        self._departed.hide(index, observations)
+        self._stopped.remember(observations, self._window[index].detail, stamp, views)
 
     def _standing_areas(
         self, index: int, moving: Moving, looked_at: Mask, tilt: float

@@ -110,6 +110,7 @@ class PendingResult:
             origin=(found.box.x0, found.box.y0),
             period=self.frame.period,
             score=observation.track.certainty,
+            absorbed=observation.detection.absorbed,
         )
 
 

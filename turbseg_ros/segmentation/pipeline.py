@@ -81,7 +81,7 @@ class Pipeline:
         # The frame that was tracked last.
         self._tracked = -1
         self._outliner = Outliner(
-            self.window, resolution, strategies.outlines, observer, parameters.looks_at_past
+            self.window, resolution, strategies.outlines, observer, parameters
         )
 
     def append(self, frame: PreparedFrame) -> None:
@@ -124,6 +124,7 @@ class Pipeline:
             # Tracks: which object is which of those before (eq. 4).
             with self._observer.stage("tracking"):
                 observations = tracker.update(detections, ego_motion, tilt, image)
+            self._outliner.remember(index, moving, observations, frame.stamp)
 
         self._tracked = index
         # What is an object is no background, and only where one is does motion go on.
@@ -147,10 +148,8 @@ class Pipeline:
         with self._observer.stage("motion map"):
             overlay = self._scene.overlay(neighbourhood, aligned)
             valid = neighbourhood.valid(overlay)
-            known = neighbourhood.camera_known
-            seen = (
-                None if known else PictureEvidence(neighbourhood.grey, aligned, flows).textured()
-            )
+            evidence = PictureEvidence(neighbourhood.grey, aligned, flows)
+            seen = None if neighbourhood.camera_known else evidence.textured()
             measure = measure_for(self._strategies.measure, seen)
             motions = measure.motions(flows, valid, job.interval)
         # Seeds that the pictures confirm, and the regions that grow from them (eq. 3).

@@ -44,7 +44,10 @@ class Detection:
     what its place is known to move by without anything being there, in pixels a frame;
     `truncated` tells whether it reaches the border of what can be seen, `flow_known` whether flow
     tells its velocity, which else is 0. `targets` are the numbers of the small targets that it
-    shows, which were followed for long enough to know that it is an object.
+    shows, which were followed for long enough to know that it is an object. `stands` is the id of
+    the object that is known to stand there, 0 for none, `hidden` whether something else is before
+    that, and `absorbed` whether it stood there for so long that it is background from here on; see
+    `stopped`.
     """
 
     box: Box
@@ -55,6 +58,9 @@ class Detection:
     truncated: bool = False
     flow_known: bool = True
     targets: frozenset[int] = frozenset()
+    stands: int = 0
+    hidden: bool = False
+    absorbed: bool = False
 
     @property
     def moves_significantly(self) -> bool:
@@ -153,6 +159,21 @@ class Track:
         return displacement < _MIN_DISPLACEMENT_RATIO * expected
 
     @property
+    def stands(self) -> bool:
+        """Whether the picture showed it where it stands, when it was looked for last."""
+        return self.misses == 0 and self.stood
+
+    @property
+    def stood(self) -> bool:
+        """Whether it stood when it was seen last."""
+        return self.detection.stands == self.id > 0
+
+    @property
+    def is_absorbed(self) -> bool:
+        """Whether it stood for so long that it is background."""
+        return self.stands and self.detection.absorbed
+
+    @property
     def velocity(self) -> tuple[float, float]:
         """Estimated velocity in pixels a frame against the scene."""
         vx, vy = self.kalman.statePost[2:, 0]
@@ -225,7 +246,7 @@ class Track:
         self.hits += 1
         speed = float(np.hypot(*detection.velocity))
         self.flow_speeds = [*self.flow_speeds, speed][-_TRAIL_LENGTH:]
-        self.still = 0 if detection.moving else self.still + 1
+        self.still = 0 if detection.moving or self.stands else self.still + 1
 
     def coast(self, ego_motion: Matrix, shape: tuple[int, int]) -> Detection:
         """Take it into the next frame, where nobody looks for it; return where it is.
@@ -380,6 +401,8 @@ def joined(parts: Sequence[Detection]) -> Detection:
         moving=any(part.moving for part in parts),
         truncated=any(part.truncated for part in parts),
         targets=frozenset[int]().union(*(part.targets for part in parts)),
+        stands=max(part.stands for part in parts),
+        absorbed=any(part.absorbed for part in parts),
     )
 
 

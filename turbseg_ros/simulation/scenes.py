@@ -249,6 +249,25 @@ _LARGE: tuple[Scene, ...] = (
         frames=90,
     ),
     Scene(
+        "waiting",
+        "a van waits for four seconds, a walker passes before it; a parked car drives off",
+        "town",
+        _HAZE,
+        (
+            SceneObject(
+                1, "sedan", 60,
+                Path(((0, 390, 169), (70, 390, 169), (85, 360, 169), (220, -180, 169))), _RED,
+            ),
+            SceneObject(
+                2, "van", 76,
+                Path(((0, 20, 197), (25, 140, 197), (38, 170, 197), (168, 170, 197),
+                      (183, 200, 197), (220, 360, 197))), _WHITE,
+            ),
+            SceneObject(3, "person", 40, _drive(330, 219, -1.4, 220), _BLACK),
+        ),
+        sensor=_SMALL_SENSOR, width=512, height=288, frames=220,
+    ),
+    Scene(
         "comeback",
         "a pickup and a bird that leave the picture and come back",
         "town",
