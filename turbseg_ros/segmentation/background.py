@@ -25,8 +25,10 @@ Counts = npt.NDArray[np.int32]
 
 # A pixel's background is known once so many frames have shown it.
 _MIN_SAMPLES = 3
-# Value of the channel that tells where objects hide the scene: no grey value is higher.
+# Value of the channel that tells where objects hide the scene: no grey value is higher. And the
+# bits of all others in a pixel of three colours as one number.
 _HIDDEN = 255
+_COLOURS = np.int32(0x00FFFFFF)
 # Area in pixels from which on those of half the size are sampled.
 _COARSE = 4.0
 _TO_HALF = scaling(0.5, 0.5)
@@ -80,15 +82,21 @@ class AlignedFrame:
 
 def unmasked(picture: ByteImage) -> MaskedImage:
     """Return the scene that a picture, HxW or HxWxC, shows, no objects hiding it."""
-    channels = picture.shape[2] if picture.ndim == 3 else 1
-    image = np.zeros((*picture.shape[:2], channels + 1), np.uint8)
-    # From channel to channel; NumPy would go from pixel to pixel.
-    cv2.mixChannels([picture], [image], [each for c in range(channels) for each in (c, c)])
+    if picture.ndim == 2 or picture.shape[2] == 1:
+        grey = picture.reshape(picture.shape[:2])
+        # From channel to channel; NumPy would go from pixel to pixel.
+        return MaskedImage(cv2.merge([grey, np.zeros_like(grey)]))
+    image = cv2.cvtColor(picture, cv2.COLOR_BGR2BGRA)
+    pixels = _as_numbers(image)
+    pixels &= _COLOURS
     return MaskedImage(image)
 
 
 def with_objects_masked(scene: MaskedImage, objects: Iterable[CroppedMask]) -> MaskedImage:
     """Return a scene with objects that hide it."""
+    objects = list(objects)
+    if not objects:
+        return scene
     image = scene.image.copy()
     for outline in objects:
         image[outline.box.slices][outline.mask, -1] = _HIDDEN

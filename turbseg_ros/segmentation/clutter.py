@@ -7,7 +7,7 @@ of an object stays nearly what it was: so the *change* of velocity is remembered
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from typing import Any
 
 import cv2
@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from turbseg_ros.arrays import Flow, Map, Mask, Matrix
 from turbseg_ros.segmentation.cropped_mask import CroppedMask, union_mask
-from turbseg_ros.segmentation.geometry import scaling
+from turbseg_ros.segmentation.geometry import corner_displacement, scaling
 
 CELL = 4
 """Side in pixels at processing resolution of the cells that the memory is kept in."""
@@ -60,8 +60,7 @@ class ClutterMemory:
             return
         self._transform = in_cells(ego_motion) @ self._transform
         height, width = self._count.shape
-        corners = np.array([[0, width, 0, width], [0, 0, height, height], [1, 1, 1, 1]])
-        if np.abs((self._transform @ corners - corners)[:2]).max() > _DRIFT:
+        if corner_displacement(self._transform, (width, height)) > _DRIFT:
             self._velocity, self._squared, self._count = (
                 _resampled(values, self._transform, backward=False)
                 for values in (self._velocity, self._squared, self._count)
@@ -129,7 +128,7 @@ def enlarged(cells: Mask, shape: tuple[int, ...]) -> Mask:
 
 
 def cells_of_objects(
-    objects: Iterable[CroppedMask], size: tuple[int, int], shape: tuple[int, ...]
+    objects: Sequence[CroppedMask], size: tuple[int, int], shape: tuple[int, ...]
 ) -> Mask:
     """Return which cells hold objects or the smear of flow beside them, hxw.
 
@@ -137,11 +136,11 @@ def cells_of_objects(
     :param shape: rows and columns at processing resolution.
     """
     height, width = cells_of(shape)
-    held = union_mask(objects, size[::-1]).view(np.uint8)
-    if held.any():
-        held = cv2.resize(held * np.uint8(255), (width, height), interpolation=cv2.INTER_AREA)
-        return cv2.dilate(held, np.ones((5, 5), np.uint8)) > 0
-    return np.zeros((height, width), bool)
+    if not objects:
+        return np.zeros((height, width), bool)
+    held = union_mask(objects, size[::-1]).view(np.uint8) * np.uint8(255)
+    held = cv2.resize(held, (width, height), interpolation=cv2.INTER_AREA)
+    return cv2.dilate(held, np.ones((5, 5), np.uint8)) > 0
 
 
 def _middles(values: npt.NDArray[Any]) -> npt.NDArray[Any]:

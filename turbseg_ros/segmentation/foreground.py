@@ -91,6 +91,8 @@ def object_crops(
     :param tilt: rms turbulent motion an axis in pixels.
     :param parts: parts of the scene at other times, of which crops have those that lie in them.
     """
+    if not areas:
+        return []
     shape = (image.shape[0], image.shape[1])
     moving, probable, certain = (
         union_mask(outlines, shape)

@@ -61,6 +61,16 @@ def scaling(x: float, y: float) -> Matrix:
     return np.array([[x, 0.0, (x - 1) / 2], [0.0, y, (y - 1) / 2], [0.0, 0.0, 1.0]])
 
 
+def corner_displacement(transform: Matrix, size: tuple[int, int]) -> float:
+    """Return how far a transform moves corners of a picture, width and height, at most.
+
+    That is in x or y, whichever is more.
+    """
+    width, height = size
+    corners = np.array([[0, width, 0, width], [0, 0, height, height], [1, 1, 1, 1]])
+    return float(np.abs((transform @ corners - corners)[:2]).max())
+
+
 def fit_affine_flow(flow: Flow, weights: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:
     """Fit (u, v) = (a + bx + cy, d + ex + fy) to a flow, robustly: Tukey's biweight on a grid.
 

@@ -168,7 +168,8 @@ class Outliner:
         def crops() -> Sequence[ObjectCrop]:
             with self._observer.stage("crops"):
                 areas = [*moving.areas, *proposed, *_resting_areas(expected, looked_at)]
-                views = self._aligned_frames(index, moving)
+                # With nothing to look at, the scene at other times need not be aligned.
+                views = self._aligned_frames(index, moving) if areas else []
                 before = self._stopped.views()
                 gathered = object_crops(image, areas, views, moving.motion, tilt, before)
             self._observer.crops(stamp, gathered)
@@ -232,11 +233,12 @@ class Outliner:
         window, outlook = self._window, self._outlook
         transforms = window.transforms_from(index)
         since = self._exposure(outlook.index, index, transforms[outlook.index])
+        from_outlook = np.linalg.inv(transforms[outlook.index])
         frames = []
         for other in window.key_frames(index):
             to_image = self._resolution.to_detail(transforms[other])
             if other not in outlook.exposures:
-                to_other = transforms[other] @ np.linalg.inv(transforms[outlook.index])
+                to_other = transforms[other] @ from_outlook
                 outlook.exposures[other] = self._exposure(other, outlook.index, to_other)
             image = window[other].scene
             if not window[other].objects_known:

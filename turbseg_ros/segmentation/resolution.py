@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,9 +63,15 @@ class Resolution:
 
     def to_detail(self, transform: Matrix) -> Matrix:
         """Return a transform between processing images as one between detail images."""
-        scale = scaling(*self.detail_from_processing)
-        result: Matrix = scale @ transform @ np.linalg.inv(scale)
+        scale, inverse = self._scales
+        result: Matrix = scale @ transform @ inverse
         return result
+
+    @functools.cached_property
+    def _scales(self) -> tuple[Matrix, Matrix]:
+        """What takes processing pixels to detail pixels, and its inverse."""
+        scale = scaling(*self.detail_from_processing)
+        return scale, np.asarray(np.linalg.inv(scale))
 
     def tilt_in_detail(self, tilt: float) -> float:
         """Return a tilt in processing pixels as one in detail pixels, 0 for one not measured."""

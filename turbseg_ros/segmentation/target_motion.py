@@ -90,6 +90,9 @@ def have_moved(targets: FollowedTargets, every: int, tests: int, camera_known: i
     far = jitters & (np.maximum(apart, length) > _MIN_DISPLACEMENT / 2.0)
     for number in np.nonzero(far)[0].tolist():
         frames = int(paths.frames[number])
+        seen = ~np.isnan(targets.sightings[number, :, 0])
+        if np.count_nonzero(seen) < _SEEN * frames or not paths.is_straight(number):
+            continue
         there = stands & (paths.frames >= 0.5 * frames)
         there[number] = False
         others = _nearest(targets.places, number, np.nonzero(there)[0])
@@ -97,12 +100,9 @@ def have_moved(targets: FollowedTargets, every: int, tests: int, camera_known: i
         relative = length[[number]] if alone else paths.relative(number, others)
         least = _MIN_DISPLACEMENT_ALONE if alone else _MIN_DISPLACEMENT
         factor = _STILL_MOVES if targets.moved[number] else 1.0
-        if np.mean(relative > factor * least) < _SHARE or not paths.is_straight(number):
+        if np.mean(relative > factor * least) < _SHARE:
             continue
         if alone and not (_LONG <= frames <= camera_known and targets.strengths[number] > _STRONG):
-            continue
-        seen = ~np.isnan(targets.sightings[number, :, 0])
-        if np.count_nonzero(seen) < _SEEN * frames:
             continue
         # Ends are means of a few places; drift is that of a displacement, which has two.
         drifted = _DRIFT * frames if alone else drift
@@ -157,9 +157,11 @@ class _Paths:
 
 def _nearest(places: Points, number: int, others: Indices) -> Indices:
     """Return the nearest others of one, each in another part of the picture."""
-    nearest = np.argsort(np.linalg.norm(places[others] - places[number], axis=1))
-    _, first = np.unique(places[others[nearest]] // _PART, axis=0, return_index=True)
-    return np.asarray(others[nearest[np.sort(first)[:_OTHERS]]])
+    nearest = others[np.argsort(np.linalg.norm(places[others] - places[number], axis=1))]
+    first: dict[tuple[float, ...], int] = {}
+    for part, other in zip((places[nearest] // _PART).tolist(), nearest.tolist(), strict=True):
+        first.setdefault(tuple(part), other)
+    return np.array(list(first.values())[:_OTHERS], np.intp)
 
 
 def _deviations(sightings: Points) -> Points:
