@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from support.drawn_scene import ByteImage, texture
+from turbseg_ros.segmentation import registration
 from turbseg_ros.segmentation.geometry import pixel_grid
 from turbseg_ros.segmentation.registration import (
     EgoMotionModel,
@@ -77,6 +78,45 @@ def test_phase_correlation_finds_a_translation(step: tuple[float, float]) -> Non
 )
 def test_an_affine_motion_is_found_within_a_tenth_of_a_pixel(motion: np.ndarray) -> None:
     assert largest_error(affine(GROUND, warped(GROUND, motion)), motion) < 0.1
+
+
+@pytest.mark.parametrize(
+    ("motion", "stands"),
+    [
+        (np.eye(3), True),
+        (camera_motion(0.1, 1.002, 0.4, -0.3), True),
+        (shift(3.0, 1.0), False),
+        (camera_motion(0.3, 0.99, -12.0, -6.0), False),
+        (shift(-70.0, 40.0), False),
+    ],
+    ids=["none", "jitter", "shift", "strong shake", "leap"],
+)
+def test_a_camera_that_stood_may_move_on(motion: np.ndarray, stands: bool) -> None:
+    found = register(GROUND, warped(GROUND, motion), stands=True)
+    assert found is not None
+    assert largest_error(found.motion, motion) < 0.2
+    assert found.stands is stands
+    # As it is found by one who doesn't know that it stood.
+    anyway = register(GROUND, warped(GROUND, motion))
+    assert anyway is not None
+    assert anyway.stands is stands
+
+
+def test_a_camera_that_stands_is_told_by_its_corners_alone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def asked(*_: object) -> None:
+        raise AssertionError("corners tell it")
+
+    monkeypatch.setattr(registration, "phase_correlation", asked)
+    found = register(noisy(GROUND, 1), noisy(GROUND, 2), stands=True)
+    assert found is not None
+    assert found.stands
+
+
+def test_another_scene_is_no_camera_that_stands() -> None:
+    other = texture(SHAPE, seed=11, low=0, high=255, grain=2.0)
+    assert register(GROUND, other, stands=True) is None
 
 
 def test_a_leap_by_a_third_of_the_picture_is_found() -> None:

@@ -32,7 +32,8 @@ class PreparedFrame:
     `from_previous` takes the pixels (of `grey`) of the frame before in the window to this one's;
     `continues` tells whether the two have anything in common, `condition` whether all of it shows
     what that one showed, and `usual` what is so from frame to frame, None for a scene's first;
-    `camera` is what is known of the camera's motion by then; `blobs` are what stands out in it.
+    `camera` is what is known of the camera's motion by then, and `stands` whether its registration
+    says that it stands; `blobs` are what stands out in it.
     """
 
     index: int
@@ -44,6 +45,7 @@ class PreparedFrame:
     condition: Condition = Condition.SOUND
     usual: Usual | None = None
     camera: CameraTrack = field(default_factory=CameraTrack)
+    stands: bool = False
     blobs: Blobs = NO_BLOBS
 
     @functools.cached_property
@@ -76,7 +78,9 @@ def prepare(
         grey = _resized(grey, resolution.processing)
         scene = unmasked(detail)
     with observer.stage("registration"):
-        found = None if previous is None else register(previous.grey, grey, voteless)
+        found = None
+        if previous is not None:
+            found = register(previous.grey, grey, voteless, previous.stands)
         before = CameraTrack() if previous is None else previous.camera
         camera = before if previous is None else before.after(found, resolution.processing)
         held = found is None or not found.is_supported
@@ -96,6 +100,7 @@ def prepare(
         condition=condition,
         usual=usual,
         camera=camera,
+        stands=found is not None and found.stands,
         blobs=blobs,
     )
 

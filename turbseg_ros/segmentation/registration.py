@@ -20,7 +20,12 @@ import numpy.typing as npt
 
 from turbseg_ros.arrays import ByteImage, Mask, Matrix
 from turbseg_ros.segmentation.exposure import exposure_between
-from turbseg_ros.segmentation.geometry import pixel_grid, scaling, translation
+from turbseg_ros.segmentation.geometry import (
+    corner_displacement,
+    pixel_grid,
+    scaling,
+    translation,
+)
 
 Points = npt.NDArray[np.float32]
 
@@ -31,6 +36,9 @@ _CORNERS, _MIN_QUALITY, _CORNER_DISTANCE = 400, 2e-4, 8
 _LK_WINDOW, _LK_LEVELS = (11, 11), 2
 # How many times smaller pictures are in which corners are followed where these don't agree.
 _COARSE = (2.0, 4.0)
+# Share of the corners that must agree for the camera to stand, and pixels by which it may move the
+# picture's corners from one frame to the next.
+_MIN_STANDING, _STANDS = 0.6, 1.5
 _MIN_CORNERS = 12
 _RANSAC_REPROJECTION_PIXELS = 1.0
 # Two pictures have nothing in common when the peak of their phase correlation, times the root of
@@ -79,11 +87,13 @@ class EgoMotionModel(enum.Enum):
 class Registration:
     """What takes a frame's pixels to another's, and what that was told by.
 
-    `motion` is the identity where the `model` is held.
+    `motion` is the identity where the `model` is held; `stands` tells whether so many corners say
+    that the camera stands that those of the next frame are first looked for where they were.
     """
 
     motion: Matrix
     model: EgoMotionModel
+    stands: bool = False
 
     @property
     def is_supported(self) -> bool:
@@ -115,7 +125,7 @@ def _hanning_window(size: tuple[int, int]) -> npt.NDArray[np.float32]:
 
 
 def register(
-    source: ByteImage, target: ByteImage, voteless: Mask | None = None
+    source: ByteImage, target: ByteImage, voteless: Mask | None = None, stands: bool = False
 ) -> Registration | None:
     """Return how the camera's motion takes `source` to `target`, as far as they tell.
 
@@ -127,17 +137,24 @@ def register(
 
     :param voteless: hxw, coarser: what of `source` is no scene, such as objects and what is burnt
         in. Its corners aren't followed.
+    :param stands: whether the camera stood in `source`; see `Registration`.
     """
     # Half of the resolution tells as well what to follow, and about where it has gone.
-    halves = [_halved(image) for image in (source, target)]
-    scene = _scene(voteless, (halves[0].shape[0], halves[0].shape[1]))
+    half = _halved(source)
+    scene = _scene(voteless, half.shape)
+    corners = _corners(half, scene)
+    if stands:
+        as_target = exposure_between(source, target, np.eye(3)).applied_to(source, channels=1)
+        found = _by_corners(as_target, target, corners, np.zeros(2))
+        if found is not None and found.stands:
+            return found
+    halves = [half, _halved(target)]
     coarse, peak = phase_correlation(*_without(halves, scene))
     if not _fits_more_of_it(halves[0], halves[1], coarse[:2, 2]):
         coarse = np.eye(3)
     shift = 2.0 * coarse[:2, 2]
     # Lucas-Kanade takes a change of exposure for motion.
     source = exposure_between(source, target, translation(*-shift)).applied_to(source, channels=1)
-    corners = _corners(halves[0], scene)
     found = (
         _by_corners(source, target, corners, shift)
         or _by_coarse_corners(halves[0], halves[1], coarse[:2, 2], scene)
@@ -160,7 +177,7 @@ def without_vote(overlay: Mask | None, objects: Mask) -> Mask | None:
     return objects if overlay is None else objects | overlay
 
 
-def _scene(voteless: Mask | None, shape: tuple[int, int]) -> ByteImage | None:
+def _scene(voteless: Mask | None, shape: tuple[int, ...]) -> ByteImage | None:
     """Return where a picture of some shape is scene, HxW, 1 or 0; None if all of it is."""
     if voteless is None or not voteless.any():
         return None
@@ -218,7 +235,8 @@ def _by_corners(
 
     :param shift: about how far `source` has moved to become `target`, (x, y).
     """
-    if len(corners) < _MIN_CORNERS:
+    all_corners = len(corners)
+    if all_corners < _MIN_CORNERS:
         return None
     there, found, difference = cv2.calcOpticalFlowPyrLK(
         source,
@@ -242,8 +260,17 @@ def _by_corners(
     size = (source.shape[1], source.shape[0])
     for model, fit in _FITS.items():
         motion = fit(corners, there)
-        if motion is not None and _is_confirmed(model, motion, corners, there, alike, size):
-            return Registration(np.vstack([motion, [0.0, 0.0, 1.0]]), model)
+        if motion is None:
+            continue
+        agreeing = _agreeing(model, motion, corners, there, alike, size)
+        if agreeing:
+            whole = np.vstack([motion, [0.0, 0.0, 1.0]])
+            stands = (
+                model is EgoMotionModel.AFFINE
+                and agreeing >= _MIN_STANDING * all_corners
+                and corner_displacement(whole, size) < _STANDS
+            )
+            return Registration(whole, model, stands)
     return None
 
 
@@ -312,22 +339,22 @@ _FITS = {
 }
 
 
-def _is_confirmed(
+def _agreeing(
     model: EgoMotionModel,
     motion: Matrix,
     corners: Points,
     there: Points,
     alike: Callable[[], Mask],
     size: tuple[int, int],
-) -> bool:
-    """Whether enough corners, from enough of the picture, agree on a motion, 2x3.
+) -> int:
+    """Count the corners that agree on a motion, 2x3; 0 if they are too few to confirm it.
 
     Those of one small target don't, however many they are.
 
     :param alike: tells which corners look where they are found as they did, N.
     """
     if np.abs(motion[:, :2] - np.eye(2)).max() > _MAX_CHANGE_OF_SHAPE:
-        return False
+        return 0
     error = corners @ motion[:, :2].T + motion[:, 2] - there
     squared = np.square(error).sum(axis=1)
     agree = squared < _RANSAC_REPROJECTION_PIXELS**2
@@ -335,14 +362,14 @@ def _is_confirmed(
         agree &= alike()
     count = int(np.count_nonzero(agree))
     if count < _MIN_CORNERS:
-        return False
+        return 0
     points = corners[agree].astype(np.float64)
     rows, columns = _GRID
     cells = (points * (columns / size[0], rows / size[1])).astype(int) @ (1, columns)
     deviations = points - points.mean(axis=0)
     spread = deviations.T @ deviations / count
     if len(set(cells.tolist())) < _MIN_CELLS or np.trace(spread) < (_MIN_SPREAD * size[0]) ** 2:
-        return False
+        return 0
     # The variance of where each corner of the picture goes, by linear regression.
     reach = np.array([(x, y) for x in (0, size[0]) for y in (0, size[1])]) - points.mean(axis=0)
     if model is EgoMotionModel.AFFINE:
@@ -352,7 +379,7 @@ def _is_confirmed(
     else:
         leverage = 0.0
     variance = max(float(squared[agree].mean()) / 2.0, _LEAST_DEVIATION**2)
-    return bool(variance * (1.0 + leverage) / count < _MAX_ERROR**2)
+    return count if variance * (1.0 + leverage) / count < _MAX_ERROR**2 else 0
 
 
 def _by_shift(
