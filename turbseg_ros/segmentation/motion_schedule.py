@@ -18,6 +18,8 @@ from turbseg_ros.segmentation.window import FrameWindow
 
 SPARSE = 2
 """Periods of measuring motion from one time to the next while very many frames wait."""
+# Periods for which nothing must have been cut out for it to be said that nothing is there.
+_CALM = 2
 
 
 class MotionSchedule:
@@ -54,6 +56,8 @@ class MotionSchedule:
         self._submitted = -1
         self._objects_in = objects_in
         self._last: Moving | None = None
+        # Frames in a row in which nothing was cut out.
+        self._empty_for = 0
 
     def what_moves(self, index: int, sparse: bool) -> Moving | None:
         """Return what moves in the next frame, and have the next measurement begun.
@@ -74,6 +78,7 @@ class MotionSchedule:
 
         Where nothing is cut out now, nothing will be until motion is measured again.
         """
+        self._empty_for = 0 if objects.any() else self._empty_for + 1
         if self._last is not None:
             self._last = self._last.where(objects)
 
@@ -85,8 +90,10 @@ class MotionSchedule:
         if self._is_due(index) and index not in self._worker:
             self._submit(index)
         if measured in self._worker:
-            found = self._propagated(self._worker.take(measured), measured, index)
-            return None if found is None else replace(found, measured=True)
+            taken = self._worker.take(measured)
+            if taken is None or taken.measured:
+                found = self._propagated(taken, measured, index)
+                return None if found is None else replace(found, measured=True)
         return self._propagated(self._last, index - 1, index)
 
     def _is_due(self, index: int) -> bool:
@@ -126,8 +133,15 @@ class MotionSchedule:
                 self._window.transform_if_continuous(before, index),
                 index - before,
                 self._objects_in(index),
+                self._unfollowed(),
             )
         )
+
+    def _unfollowed(self) -> Moving | None:
+        """Return what was measured last, as it moved on, if nothing was cut out for a while."""
+        if self._last is None or self._empty_for < _CALM * self._every:
+            return None
+        return replace(self._last, measured=False)
 
 
 def frame_window(parameters: Parameters, measure: MotionMeasure) -> FrameWindow:

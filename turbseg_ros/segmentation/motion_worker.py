@@ -18,7 +18,7 @@ class MotionJob:
 
     `since_last` takes the processing pixels of the frame measured before, `frames` earlier, to
     this one's, None where there is none of the same scene; `objects` are expected in it, at detail
-    resolution.
+    resolution. `unfollowed` is what was measured last, if nothing was cut out since.
     """
 
     index: int
@@ -27,10 +27,14 @@ class MotionJob:
     since_last: Matrix | None = None
     frames: int = 1
     objects: Sequence[CroppedMask] = ()
+    unfollowed: Moving | None = None
 
 
 Measure = Callable[[MotionJob], "Moving | None"]
-"""Measures what moves in a frame; None where there is too little to compare it with."""
+"""Measures what moves in a frame; None where there is too little to compare it with.
+
+What is not `measured` says that nothing has begun to move.
+"""
 
 
 class MotionWorker:

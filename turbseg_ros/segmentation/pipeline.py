@@ -136,13 +136,15 @@ class Pipeline:
         )
 
     def measure_motion(self, job: MotionJob) -> Moving | None:
-        """Measure what moves in a frame; None where there is too little to compare it with."""
+        """Measure what moves in a frame; see `motion_worker.Measure`."""
         neighbourhood = job.neighbourhood
-        self._scene.propagate(job.since_last)
+        self._scene.propagate(job.since_last, job.frames)
         if len(neighbourhood.neighbours) < 2:
             return None
         with self._observer.stage("optical flow"):
             aligned = neighbourhood.aligned()
+            if self._scene.shows_nothing_new(job.unfollowed, neighbourhood.grey, aligned):
+                return job.unfollowed
             flows = self._strategies.flow.flows_to(neighbourhood.grey, aligned)
         # Average (eq. 1) and distance from the camera's own motion (eq. 2), within the scene.
         with self._observer.stage("motion map"):
@@ -158,8 +160,7 @@ class Pipeline:
             evidence = PictureEvidence(neighbourhood.grey, near or aligned, flows)
             shape = self.resolution.processing_shape
             objects = cells_of_objects(job.objects, self.resolution.detail, shape)
-            textured = evidence.textured()
-            motions = self._scene.with_clutter(motions, textured, objects, job.frames)
+            motions = self._scene.with_clutter(motions, evidence.textured(), objects)
             grow = functools.partial(self._grow, evidence, objects)
             moving = what_moves(motions, grow, self.resolution.detail)
         return replace(moving, overlay=overlay)

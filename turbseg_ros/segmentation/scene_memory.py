@@ -8,8 +8,14 @@ from dataclasses import replace
 from turbseg_ros.arrays import ByteImage, Mask, Matrix
 from turbseg_ros.segmentation.clutter import ClutterMemory
 from turbseg_ros.segmentation.motion import MotionEstimate
+from turbseg_ros.segmentation.moving import Moving
 from turbseg_ros.segmentation.static_overlay import OverlayMemory
+from turbseg_ros.segmentation.usual_change import UsualChange
 from turbseg_ros.segmentation.window import Neighbourhood
+
+# Frames in a row in which motion may be left unmeasured: what is so slow, or so faint, that the
+# pictures don't show it, waits no longer.
+_MOST_LEFT_OUT = 3
 
 
 class SceneMemory:
@@ -21,14 +27,38 @@ class SceneMemory:
     def __init__(self) -> None:
         self._clutter: list[ClutterMemory] = []
         self._overlay = OverlayMemory()
+        self._change = UsualChange()
+        # Frames since motion was measured, and how many times it was left out.
+        self._frames, self._left_out = 0, 0
 
-    def propagate(self, ego_motion: Matrix | None) -> None:
-        """Take what is known into the frame that is measured next; None: to another scene.
+    def propagate(self, ego_motion: Matrix | None, frames: int) -> None:
+        """Take what is known into the frame that is looked at next; None: to another scene.
 
-        :param ego_motion: takes the processing pixels of the frame measured before to its own.
+        :param ego_motion: takes the processing pixels of the frame before, so many frames
+            earlier, to its own.
         """
+        self._frames += frames
         for memory in self._clutter:
             memory.propagate(ego_motion)
+        self._change.propagate(ego_motion)
+
+    def shows_nothing_new(
+        self, before: Moving | None, grey: ByteImage, aligned: Mapping[int, ByteImage]
+    ) -> bool:
+        """Whether a frame needs no measurement: nothing moved before, and it is as usual.
+
+        What is usual is learned from frames in which nothing is followed.
+
+        :param before: what was measured last, if nothing was cut out since.
+        :param grey: HxW at processing resolution.
+        :param aligned: the neighbours as the frame itself would show them.
+        """
+        if before is None:
+            self._left_out = 0
+            return False
+        changed = self._change.is_exceeded(grey, aligned) or bool(before.regions)
+        self._left_out = 0 if changed or self._left_out == _MOST_LEFT_OUT else self._left_out + 1
+        return self._left_out > 0
 
     def overlay(self, neighbourhood: Neighbourhood, aligned: Mapping[int, ByteImage]) -> Mask:
         """Return which cells, hxw, stand still while the scene moves; see `OverlayMemory`.
@@ -40,15 +70,15 @@ class SceneMemory:
         )
 
     def with_clutter(
-        self, motions: Sequence[MotionEstimate], usable: Mask, objects: Mask, frames: int
+        self, motions: Sequence[MotionEstimate], usable: Mask, objects: Mask
     ) -> list[MotionEstimate]:
         """Return estimates with what is known of each place, and learn from them.
 
         :param motions: estimates over a short baseline and, if any, longer ones.
         :param usable: HxW, where flow has something to hold on to.
         :param objects: hxw, cells that objects cover: nothing is learned there.
-        :param frames: how many frames ago motion was measured before.
         """
+        frames, self._frames = self._frames, 0
         self._clutter += [ClutterMemory() for _ in motions[len(self._clutter) :]]
         return [
             replace(
