@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Image
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -93,6 +94,33 @@ def test_a_camera_that_comes_after_the_recorder_is_recorded_from_its_first_image
     (bag,) = out.iterdir()
     counts = Counter(message.topic for message in BagReader(bag).messages())
     assert counts == {"/lens/image_raw": 10, "/probe/centroids": 1}
+
+
+def test_a_camera_that_offers_less_than_the_node_asks_for_is_recorded_all_the_same(
+    tmp_path: Path, probe: Probe
+) -> None:
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "turbseg_ros.cli", "record", "-o", str(out)]
+    command += ["--node", "/probe", "--pre-roll", "600", "--post-roll", "600"]
+    probe.node.create_subscription(Image, "/lens/image_raw", lambda _: None, RELIABLE)
+    centroids = probe.advertise("/probe/centroids", MarkerArray, heard=False)
+    with NodeProcess(tmp_path / "log", command=command) as recorder:
+        probe.wait_for(
+            lambda: probe.node.count_subscribers("/lens/image_raw") == 2, "its subscription"
+        )
+        # Neither the node nor the recorder hears it as they asked at first.
+        camera = probe.advertise("/lens/image_raw", Image, qos_profile_sensor_data, heard=False)
+        probe.wait_for(camera.get_subscription_count, "the recorder")
+        probe.wait_for(lambda: centroids.get_subscription_count() == 2, "both subscriptions")
+        for _ in range(20):
+            camera.publish(IMAGE)
+            probe.spin(0.02)
+        centroids.publish(OBJECT)
+        probe.wait_for(lambda: f"{out}/" in recorder.output, "the bag to begin")
+        assert recorder.stop(signal.SIGINT) == 0
+    (bag,) = out.iterdir()
+    counts = Counter(message.topic for message in BagReader(bag).messages())
+    assert counts["/lens/image_raw"] > 0
 
 
 def test_a_folder_that_cannot_be_made_is_refused(
