@@ -70,7 +70,7 @@ def test_regions_are_ignored_alike_in_replay_and_evaluation(
     direct, recorded = tmp_path / "direct.json", tmp_path / "recorded.json"
     evaluate.main([str(bag), "--json", str(direct), "-p", regions])
     arguments = ["--predictions", str(tmp_path / "out"), "--json", str(recorded)]
-    evaluate.main([str(bag), *arguments])
+    evaluate.main([str(bag), *arguments, "-p", regions])
     assert quality(direct) == quality(recorded)
 
 

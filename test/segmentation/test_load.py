@@ -120,6 +120,11 @@ def test_nothing_is_excused_by_what_has_not_piled_up() -> None:
     assert Load.of(coast_from + 1, PARAMETERS, piled_up=1).coasts
 
 
+def test_nothing_changes_while_load_is_never_shed() -> None:
+    never = PARAMETERS.replace({"latency.coast_from": QUEUE + 1, "latency.sparse_from": QUEUE + 1})
+    assert all(Load.of(waiting, never) == Load() for waiting in range(QUEUE))
+
+
 def test_very_many_that_wait_go_before_what_has_piled_up() -> None:
     latency = PARAMETERS.latency
     assert Load.of(QUEUE, PARAMETERS, piled_up=10) == Load(True, True, frames_at_once=1)

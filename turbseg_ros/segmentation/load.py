@@ -41,6 +41,8 @@ class Load:
         latency = parameters.latency
         excess = max(waiting - min(piled_up, int(_PATIENCE * parameters.queue_size)), 0)
         coasts, sparse = excess >= latency.coast_from, excess >= latency.sparse_from
-        # What is outlined costs too much to catch up while others wait; what coasts does not.
+        # What is outlined costs too much to catch up when one more that waits would shed load;
+        # what coasts does not. Where none is ever shed, results depend on no frame's time.
         hurries = coasts and not sparse
-        return cls(coasts, sparse, 1 if waiting and not hurries else _CATCH_UP)
+        crowded = waiting >= max(latency.coast_from - 1, 1)
+        return cls(coasts, sparse, 1 if crowded and not hurries else _CATCH_UP)
