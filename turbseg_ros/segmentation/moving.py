@@ -12,10 +12,13 @@ from turbseg_ros.arrays import Map, Mask, Matrix
 from turbseg_ros.segmentation.areas import SMEAR, MovingArea, moving_areas
 from turbseg_ros.segmentation.clutter import in_cells
 from turbseg_ros.segmentation.cropped_mask import Box, convex_hull, union_mask
-from turbseg_ros.segmentation.geometry import translation
+from turbseg_ros.segmentation.geometry import corner_displacement, translation
 from turbseg_ros.segmentation.motion import MotionEstimate, agree, merged
 from turbseg_ros.segmentation.region_growing import Region
 from turbseg_ros.segmentation.resolution import Resolution
+
+# Pixels by which the camera may move a picture's corners for its maps to be taken as they are.
+_STAYS = 0.5
 
 Grow = Callable[[MotionEstimate, Mask], list[Region]]
 """Grows regions on a motion map, outside of what a mask, hxw, says is taken already."""
@@ -81,9 +84,13 @@ def propagated(
     ]
     motion = moving.motion
     shape = motion.motion_map.shape
-    velocity, motion_map = (
-        _moved(ego_motion, values) for values in (motion.velocity, motion.motion_map)
-    )
+    # Of what moves the map goes with it, below; elsewhere it tells of noise.
+    if corner_displacement(ego_motion, shape[::-1]) < _STAYS:
+        velocity, motion_map = motion.velocity.copy(), motion.motion_map.copy()
+    else:
+        velocity, motion_map = (
+            _moved(ego_motion, values) for values in (motion.velocity, motion.motion_map)
+        )
     regions = []
     for region in moving.regions:
         to_later = ego_motion @ _own_motion(region.seed.velocity, frames)

@@ -50,8 +50,10 @@ def seed_strength(motion: MotionEstimate, size: int, delta1: float, delta2: floa
     :param size: D, in pixels.
     """
     mean = cv2.blur(motion.motion_map, (size, size))
-    variance = cv2.blur(motion.motion_map**2, (size, size)) - mean**2
     strength = mean / motion.noise
+    if not (strength > delta1).any():
+        return np.zeros_like(strength)
+    variance = cv2.blur(motion.motion_map**2, (size, size)) - mean**2
     peak = strength >= cv2.dilate(strength, np.ones((2 * size + 1, 2 * size + 1), np.uint8))
     accepted = (strength > delta1) & (variance < (delta2 * mean) ** 2) & peak & motion.visible
     scored: Map = np.where(accepted, strength, 0.0).astype(np.float32)
@@ -96,6 +98,8 @@ def grow_regions(
     :param smallest: regions below this area in pixels are dropped.
     :param taken: HxW, pixels that belong to other regions already.
     """
+    if not strength.any():
+        return []
     occupancy = np.full(strength.shape, _FREE, np.uint8)
     if taken is not None:
         occupancy[taken] = _TAKEN

@@ -198,11 +198,18 @@ class FrameWindow:
 
     def transform(self, source: int, target: int) -> Matrix:
         """Return the transform of processing pixels from frame `source` to frame `target`."""
-        return self.transforms_from(source)[target]
+        between = range(min(source, target), max(source, target) + 1)
+        return self._transforms(source, [k for k in between if k in self._frames])[target]
 
     def transforms_from(self, source: int) -> dict[int, Matrix]:
         """Return the transforms of processing pixels from a frame to each of those at hand."""
-        indices = sorted(self._frames)
+        return self._transforms(source, sorted(self._frames))
+
+    def _transforms(self, source: int, indices: Sequence[int]) -> dict[int, Matrix]:
+        """Return the transforms of processing pixels from a frame to each of some, in order.
+
+        :param indices: of frames at hand, that frame among them and all between them.
+        """
         here = indices.index(source)
         transforms = {source: np.eye(3)}
         for before, after in itertools.pairwise(indices[here:]):
