@@ -58,8 +58,9 @@ from turbseg_ros.simulation.turbulence import Turbulence
 _METHOD = "turbseg"
 _RATE_HZ = 30.0
 _SEED = 7
-# Frames that are rendered, and then shown forward and backward.
-_CLIP = 30
+# Frames that are rendered, and then shown forward and backward: so many that objects get through
+# the view, for what turns back each second sways.
+_CLIP = 120
 # Enough for the first frames to be caught up with and for the background's memory to be full.
 _WARM_UP = 75
 _KINDS = ("sedan", "person", "van", "pickup")
