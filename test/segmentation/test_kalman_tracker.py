@@ -317,6 +317,20 @@ def test_a_small_target_keeps_its_id_wherever_it_was_followed_to(number: int, sa
     assert (there is before) == same
 
 
+@pytest.mark.parametrize(("number", "same"), [(1, True), (0, False)])
+def test_what_stood_is_none_of_what_hides_it_but_for_a_target_that_is_followed(
+    number: int, same: bool
+) -> None:
+    tracker = tracker_of()
+    small = small_target(100, 100, 1)
+    for _ in range(8):
+        before = only(update(tracker, [small])).track
+    hidden = replace(small, targets=frozenset(), stands=before.id, hidden=True)
+    passes = replace(small_target(102, 100, 1), targets=frozenset({number} - {0}))
+    there = only(update(tracker, [hidden, passes])).track
+    assert (there is before) == same
+
+
 @pytest.mark.parametrize(
     ("width", "moving", "taken"), [(4, False, 1), (12, False, 0), (5, True, 1)]
 )

@@ -167,14 +167,12 @@ class KalmanTracker:
         for track in self._tracks:
             track.propagate(ego_motion)
         self._propagate_sites(ego_motion)
-        hidden = {detection.stands for detection in detections if detection.hidden}
+        hidden = self._hidden(detections)
         detections = [detection for detection in detections if not detection.hidden]
         divided, detections = self._divided(detections, tilt, image)
         detections = self._reunited(detections, divided)
         observations = self._seen_beside_others(divided)
-        matched = self._match(
-            detections, tilt, [*divided, *(track for track in self._tracks if track.id in hidden)]
-        )
+        matched = self._match(detections, tilt, [*divided, *hidden])
         for index, detection in enumerate(detections):
             known = matched.get(index)
             if known is None and detection.stands:
@@ -219,6 +217,15 @@ class KalmanTracker:
             place.propagated(ego_motion)
             for place in self._clutter_sites
             if place.age < _CLUTTER_SPAN
+        ]
+
+    def _hidden(self, detections: Sequence[Detection]) -> list[Track]:
+        """Return the tracks that are said to be hidden, and aren't followed as small targets."""
+        ids = {detection.stands for detection in detections if detection.hidden}
+        seen = [detection.targets for detection in detections if not detection.hidden]
+        followed = frozenset[int]().union(*seen)
+        return [
+            track for track in self._tracks if track.id in ids and not track.targets & followed
         ]
 
     def _divided(

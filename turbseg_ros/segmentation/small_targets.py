@@ -373,7 +373,11 @@ def with_targets(
         if found is None:
             continue
         around = found.outline.dilated(2, resolution.detail_shape)
-        there = [n for n, each in enumerate(result) if around.shares_pixels(each.outline)]
+        there = [
+            n
+            for n, each in enumerate(result)
+            if not each.hidden and around.shares_pixels(each.outline)
+        ]
         if not there:
             result.append(found)
             continue
