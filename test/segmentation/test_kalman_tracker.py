@@ -184,6 +184,40 @@ def test_an_object_that_hides_for_too_long_ends() -> None:
     assert after.track.id == 2
 
 
+@pytest.mark.parametrize(
+    ("aside", "grey", "same"), [(19, 128, True), (19, 230, False), (60, 128, False)]
+)
+def test_an_object_that_turned_while_it_hid_has_its_id_again_if_it_looks_like_it(
+    aside: int, grey: int, same: bool
+) -> None:
+    tracker = tracker_of()
+    before = follow(tracker, range(12), (50, 60), (3, 0)).track
+    wait(tracker, 4)
+    image = np.full_like(PLAIN, grey)
+    for frame in range(16, 22):
+        there = crossing(frame, (50, 60 + aside), (3, 0))
+        (found,) = tracker.update([there], STILL_CAMERA, 0.1, image)
+    assert found.track is not before
+    assert (found.track.id == before.id) == same
+    assert found.track.slot == (before.slot if same else 1)
+
+
+def test_an_object_that_lost_its_shape_has_its_id_again() -> None:
+    tracker = tracker_of()
+    before = follow(tracker, range(12), (50, 60), (3, 0)).track
+    frame, track = 12, before
+    while track is before:
+        width, height = (36, 6) if frame % 2 else (6, 36)
+        left, top = 60 + 3 * frame - width // 2, 66 - height // 2
+        changed = seen(left, top, (3, 0), width=width, height=height)
+        track = only(update(tracker, [changed])).track
+        frame += 1
+    assert frame < 40
+    found = follow(tracker, range(frame, frame + 6), (50, 60), (3, 0))
+    assert found.track is not before
+    assert found.track.id == before.id
+
+
 def test_objects_that_cross_keep_their_ids() -> None:
     tracker = tracker_of()
     ids: dict[float, set[int]] = {1.0: set(), -1.0: set()}

@@ -53,6 +53,9 @@ _CLEAR, _STRAIGHT = 1.0, 0.75
 # Frames without an object after which it is out of sight, pixels a frame from which it then goes
 # on, and the share of its speed by which what moves otherwise is none of it.
 _LOST, _PASSING, _OTHER_SPEED = 2, 0.5, 0.5
+# Standard deviations that a lost object may be off its expected place, and by what its area, at
+# most times as large, and its colour, in grey values, may differ when it is found again.
+_SURE, _SIZES, _COLOURS = 3.0, 3.0, 40.0
 # Frames for which the place of one that got nowhere is remembered.
 _CLUTTER_SPAN = 300
 
@@ -103,6 +106,8 @@ class KalmanTracker:
         self._max_age = max_age
         self._free_slots = list(range(slots))
         self._tracks: list[Track] = []
+        # Objects that ended and may be found again.
+        self._ended: list[Track] = []
         self._clutter_sites: list[_ClutterSite] = []
         self._depth_order: DepthOrder[Track] = DepthOrder()
         self._next_id = 1
@@ -128,7 +133,7 @@ class KalmanTracker:
         """End all tracks; ids go on."""
         for track in self._tracks:
             self._end(track)
-        self._tracks = []
+        self._tracks, self._ended = [], []
         self._clutter_sites = []
         self._depth_order = DepthOrder()
 
@@ -166,7 +171,7 @@ class KalmanTracker:
         """
         for track in self._tracks:
             track.propagate(ego_motion)
-        self._propagate_sites(ego_motion)
+        self._propagate_places(ego_motion)
         hidden = self._hidden(detections)
         detections = [detection for detection in detections if not detection.hidden]
         divided, detections = self._divided(detections, tilt, image)
@@ -191,6 +196,8 @@ class KalmanTracker:
         seen = {id(observation.track) for observation in observations}
         for track in self._tracks:
             track.misses = 0 if id(track) in seen else track.misses + 1
+        for track in [track for track in self._tracks if track.confirmed and not track.id]:
+            self._number(track, tilt)
         self._drop_lost()
         return observations
 
@@ -205,14 +212,19 @@ class KalmanTracker:
             (track, track.coast(ego_motion, shape))
             for track in self._depth_order.front_to_back(self._tracks)
         ]
-        self._propagate_sites(ego_motion)
+        self._propagate_places(ego_motion)
         return [
             track.observed(detection)
             for track, detection in coasted
             if track.misses == 0 and detection.area
         ]
 
-    def _propagate_sites(self, ego_motion: Matrix) -> None:
+    def _propagate_places(self, ego_motion: Matrix) -> None:
+        """Take what is known of places without a track into the next frame."""
+        self._ended = [track for track in self._ended if track.misses < self._max_age]
+        for track in self._ended:
+            track.propagate(ego_motion)
+            track.misses += 1
         self._clutter_sites = [
             place.propagated(ego_motion)
             for place in self._clutter_sites
@@ -320,10 +332,38 @@ class KalmanTracker:
             return
         if track.detection.moves_significantly or self._behaves_like_object(track, tilt):
             track.confirmed = True
+
+    def _number(self, track: Track, tilt: float) -> None:
+        """Give an object its id and slot: those of one that was lost, if it is that one again."""
+        before = self._lost_before(track, tilt)
+        if before is not None:
+            if before in self._tracks:
+                self._end(before)
+            self._tracks = [other for other in self._tracks if other is not before]
+            self._ended = [other for other in self._ended if other is not before]
+            track.id = before.id
+        else:
             track.id = self._next_id
             self._next_id += 1
-            if self._free_slots:
-                track.slot = self._free_slots.pop(0)
+        if before is not None and before.slot in self._free_slots:
+            self._free_slots.remove(before.slot)
+            track.slot = before.slot
+        elif self._free_slots:
+            track.slot = self._free_slots.pop(0)
+
+    def _lost_before(self, track: Track, tilt: float) -> Track | None:
+        """Return the lost object that was to be where one appeared and looks like it, if any.
+
+        It was last seen before that one was seen first.
+        """
+        lost = {
+            other: distance
+            for other in [*self._tracks, *self._ended]
+            if other.id and other.misses > track.age and _looks_like(track, other)
+            if (distance := float(np.linalg.norm(track.position - other.position)))
+            < _reach(track.size, other.size, tilt) + _SURE * other.deviation
+        }
+        return min(lost, key=lambda other: lost[other], default=None)
 
     def _behaves_like_object(self, track: Track, tilt: float) -> bool:
         """Whether it keeps its shape and has travelled further than chance would take it."""
@@ -372,6 +412,7 @@ class KalmanTracker:
         ]
         for track in lost:
             self._end(track)
+        self._ended += [track for track in lost if track.id and not track.is_absorbed]
         self._tracks = [track for track in self._tracks if track not in lost]
         self._depth_order.keep(self._tracks)
 
@@ -414,6 +455,23 @@ def _hides(track: Track, detection: Detection) -> bool:
     return track.stood and track.shape_iou(detection) < _MIN_SHAPE_IOU
 
 
+def _reach(size: float, other_size: float, tilt: float) -> float:
+    """Return how far an object may be seen from where it is expected."""
+    return _REACH * max(size, other_size) + 3.0 * tilt + 2.0
+
+
+def _looks_like(track: Track, other: Track) -> bool:
+    """Whether two objects are about as large and of about one colour."""
+    one, two = track.appearance, other.appearance
+    if one is None or two is None:
+        return False
+    areas = one.outline.area, two.outline.area
+    if max(areas) > _SIZES * min(areas):
+        return False
+    colours = [each.picture[each.outline.mask].mean(axis=0) for each in (one, two)]
+    return bool(np.abs(colours[0] - colours[1]).max() < _COLOURS)
+
+
 def _has_claim(expected: CroppedMask, detection: Detection) -> bool:
     common = np.count_nonzero(expected.within(detection.box) & detection.mask)
     return bool(common > _CLAIM * min(expected.area, detection.area))
@@ -430,7 +488,7 @@ def _cost(track: Track, detection: Detection, tilt: float) -> float:
     height, width = track.detection.box.shape
     other_height, other_width = detection.box.shape
     diagonal = max(float(np.hypot(height, width)), float(np.hypot(other_height, other_width)))
-    reach = _REACH * diagonal + 3.0 * tilt + 2.0
+    reach = _reach(diagonal, diagonal, tilt)
     distance = float(np.linalg.norm(detection.centroid - track.position))
     if distance > reach:
         return _UNMATCHABLE

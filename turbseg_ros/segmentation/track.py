@@ -105,6 +105,7 @@ class Track:
     slot: int = -1
     hits: int = 1
     misses: int = 0
+    age: int = 0
     still: int = 0
     flow_speeds: list[float] = field(default_factory=list)
     shape_ious: list[float] = field(default_factory=list)
@@ -186,6 +187,7 @@ class Track:
 
     def propagate(self, ego_motion: Matrix) -> None:
         """Take its state into the next frame: by the ego-motion, then by its velocity."""
+        self.age += 1
         linear = ego_motion[:2, :2]
         state = self.kalman.statePost
         state[:2, 0] = linear @ state[:2, 0] + ego_motion[:2, 2]
@@ -277,6 +279,12 @@ class Track:
         """Return the IoU of a detection with its mask where that is expected now."""
         common = self.intersection_area(detection)
         return common / max(self.detection.area + detection.area - common, 1)
+
+    @property
+    def deviation(self) -> float:
+        """Standard deviation of its estimated centroid, in pixels."""
+        variances = np.diag(self.kalman.errorCovPost)[:2]
+        return float(np.sqrt(variances.max()))
 
     @property
     def certainty(self) -> float:
