@@ -37,8 +37,8 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument(
                 "preset",
                 default_value="live",
-                description="Parameter file of the package, by name: low_latency, severe, "
-                "thermal, no_refine.",
+                description="Parameter file of the package, by name: low_latency, "
+                "more_look_ahead, severe, thermal, no_refine.",
             ),
             DeclareLaunchArgument(
                 "params_file",

@@ -214,6 +214,17 @@ class LatencyParameters:
         choices=("centred", "causal"),
         read_only=True,
     )
+    look_ahead: int = parameter(
+        6,
+        "Frames after which a result comes, when centred: the more, the steadier motion is "
+        "measured, and the earlier an object shows that is known only later.",
+        unit="frames",
+        # With fewer there is hardly a neighbour ahead; see causal.
+        minimum=3,
+        maximum=300,
+        read_only=True,
+        used_when={"latency.mode": ("centred",)},
+    )
     warm_up: int = parameter(
         24,
         "Frames that must be there before the first is answered, when centred: they show its "
@@ -650,14 +661,6 @@ class Parameters:
     def looks_at_past(self) -> bool:
         """Whether what stands out from the scene's past is looked at; grown regions have none."""
         return self.seed.standing_out and self.outline.method != "none"
-
-    @property
-    def segmentation_look_ahead(self) -> int:
-        """Frames that must follow a frame before it is segmented.
-
-        They are its own neighbours and those of the frame measured next, which is then worked on.
-        """
-        return 0 if self.is_causal else self.flow.interval + self.flow.every
 
     @classmethod
     def from_mapping(cls, values: Mapping[str, object]) -> Parameters:

@@ -69,7 +69,9 @@ SEEN = everywhere(range(-20, 21))
 
 # The process decorrelates a little faster than the real tilt that the gains were taken from: 4 %.
 @pytest.mark.parametrize(
-    "intervals", [(-4, -2, 2, 4), (-2, 2), (-1, 1), (-8, -4, 4, 8), (-8, -4, -2, -1)], ids=str
+    "intervals",
+    [(-4, -2, 2, 4), (-2, 2), (-1, 1), (-8, -4, 4, 8), (-8, -4, -2, -1), (-6, 2), (-5, 3)],
+    ids=str,
 )
 @pytest.mark.parametrize("rms", [0.13, 0.5, 2.0])
 def test_tilt_is_measured_within_a_tenth(intervals: tuple[int, ...], rms: float) -> None:
@@ -81,6 +83,15 @@ def test_tilt_is_taken_from_the_widest_pair() -> None:
     residuals = turbulent_residuals(0.3, (-4, -3, -2, 2, 4))
     widest = {i: residuals[i] for i in (-4, 4)}
     assert measured_tilt(residuals, SEEN) == measured_tilt(widest, SEEN)
+
+
+def test_of_a_pair_that_is_shifted_back_the_most_even_one_tells_the_tilt() -> None:
+    residuals = turbulent_residuals(0.3, (-8, -6, 2))
+    pair = {i: residuals[i] for i in (-6, 2)}
+    assert measured_tilt(residuals, SEEN) == measured_tilt(pair, SEEN)
+    velocity = np.random.default_rng(3).normal(0, 5, (*SHAPE, 2))
+    moving = {i: (flow + i * velocity).astype(np.float32) for i, flow in pair.items()}
+    assert measured_tilt(moving, SEEN) == pytest.approx(measured_tilt(pair, SEEN), rel=1e-3)
 
 
 def test_constant_velocities_are_no_tilt() -> None:

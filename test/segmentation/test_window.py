@@ -14,6 +14,7 @@ from support.drawn_scene import texture
 from turbseg_ros.segmentation.background import unmasked
 from turbseg_ros.segmentation.camera_state import CameraState, CameraTrack
 from turbseg_ros.segmentation.cropped_mask import CroppedMask
+from turbseg_ros.segmentation.geometry import translation
 from turbseg_ros.segmentation.observer import StageObserver
 from turbseg_ros.segmentation.preparation import PreparedFrame, prepare
 from turbseg_ros.segmentation.registration import EgoMotionModel
@@ -152,9 +153,40 @@ def test_at_an_end_neighbours_come_from_the_other_side(centre: int, neighbours: 
     assert window.neighbours(centre, [-12, -4, 4]) == neighbours
 
 
+@pytest.mark.parametrize(
+    ("following", "neighbours"),
+    [
+        (4, [-12, -4, 4]),
+        (3, [-12, -5, 3]),
+        (2, [-12, -6, 2]),
+        (1, [-12, -4, -2, -1]),
+        (0, [-12, -4, -2, -1]),
+    ],
+)
+def test_where_fewer_frames_follow_the_pair_on_both_sides_is_shifted_back(
+    following: int, neighbours: list[int]
+) -> None:
+    window = FrameWindow(12, 100, memory=48, key_step=3)
+    for index in range(20 + following):
+        window.append(tiny_frame(index))
+    assert window.neighbours(19, [-12, -4, 4]) == neighbours
+
+
+def test_the_pair_is_not_shifted_while_the_camera_moves() -> None:
+    window = FrameWindow(12, 100, memory=48, key_step=3)
+    for index in range(22):
+        window.append(tiny_frame(index, translation(0.5 * (index > 12), 0.0)))
+    assert window.neighbours(19, [-12, -4, 4]) == [-12, -4, 2]
+
+
+def test_a_mean_is_not_shifted() -> None:
+    assert filled(9, interval=4).neighbours(6, [-4, -2, 2, 4]) == [-4, -2, 2]
+
+
 def test_a_short_stream_has_the_neighbours_that_it_has() -> None:
     assert filled(1, interval=4).neighbours(0, [-12, -4, 4]) == []
-    assert filled(3, interval=4).neighbours(0, [-12, -4, 4]) == []
+    assert filled(2, interval=4).neighbours(0, [-12, -4, 4]) == []
+    assert filled(3, interval=4).neighbours(0, [-12, -4, 4]) == [1, 2]
     assert filled(5, interval=4).neighbours(0, [-12, -4, 4]) == [1, 2, 4]
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 
 import cv2
@@ -11,6 +10,7 @@ import numpy.typing as npt
 
 from turbseg_ros.arrays import ByteImage, Matrix, Point
 from turbseg_ros.segmentation.cropped_mask import CroppedMask
+from turbseg_ros.segmentation.look_ahead import WHOLE_CLIP
 from turbseg_ros.segmentation.track import (
     Detection,
     Observation,
@@ -35,7 +35,7 @@ class KMeansIds:
     @property
     def delay(self) -> int:
         """No result before the end of the clip."""
-        return sys.maxsize
+        return WHOLE_CLIP
 
     @property
     def next_id(self) -> int:

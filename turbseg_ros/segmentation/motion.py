@@ -280,26 +280,27 @@ def interval_sets(widest: int) -> list[tuple[int, ...]]:
 def measured_tilt(residuals: Mapping[int, Flow], valid: Mapping[int, Map]) -> float:
     """Measure the rms turbulent tilt an axis, in pixels, from two flows that share a velocity.
 
-    (F(t→t+k) + F(t→t-k))/2, or with all on one side F(t→t+k) - F(t→t+2k)/2, cancels every
-    constant velocity and leaves a sum of tilts, whose variance their temporal correlation gives.
-    The widest such pair counts; the median over the picture leaves objects out. NaN without one.
+    Of F(t→t+k) and F(t→t+m), weighted so that k and m cancel, no constant velocity is left, but a
+    sum of tilts, whose variance their temporal correlation gives. Two sides count before one, and
+    the widest pair; the median over the picture leaves objects out. NaN without one.
 
     :param residuals: {k: F(t→t+k) less the ego-motion}, HxWx2.
     :param valid: {k: HxW}, 0 where the pixel isn't seen in frame t+k, else 1.
     """
-    both_sides = [k for k in residuals if k > 0 and -k in residuals]
-    one_side = [k for k in residuals if 2 * k in residuals]
-    if not (both_sides or one_side):
+    pairs = [(k, m) for k in residuals for m in residuals if m < 0 < k]
+    pairs = pairs or [(k, 2 * k) for k in residuals if 2 * k in residuals]
+    if not pairs:
         return float("nan")
-    k = max(both_sides or one_side, key=abs)
-    other, share = (-k, 0.5) if both_sides else (2 * k, -0.5)
-    first = 0.5 if both_sides else 1.0
-    left = first * _sample(residuals[k]) + share * _sample(residuals[other])
-    left = left[(_sample(valid[k]) > 0) & (_sample(valid[other]) > 0)]
+    k, m = max(pairs, key=lambda pair: (min(abs(pair[0]), abs(pair[1])), -abs(pair[0] + pair[1])))
+    shares = (m / (m - k), k / (k - m)) if m < 0 < k else (1.0, -0.5)
+    left = np.float32(shares[0]) * _sample(residuals[k])
+    left += np.float32(shares[1]) * _sample(residuals[m])
+    left = left[(_sample(valid[k]) > 0) & (_sample(valid[m]) > 0)]
     if not len(left):
         return float("nan")
-    # Three tilts, k frames apart: the middle one less half of each other.
-    gain = 1.5 + _tilt_correlation(2 * k) / 2.0 - 2.0 * _tilt_correlation(k)
+    times, weights = np.array([k, m, 0]), np.array([*shares, -sum(shares)])
+    correlation = [[_tilt_correlation(one - other) for one in times] for other in times]
+    gain = float(weights @ correlation @ weights)
     return _robust_deviation(np.hypot(left[:, 0], left[:, 1])) / float(np.sqrt(gain))
 
 

@@ -10,6 +10,7 @@ from turbseg_ros.parameters import FlowParameters, Parameters
 from turbseg_ros.segmentation.average import LONG_BASELINE
 from turbseg_ros.segmentation.cropped_mask import CroppedMask
 from turbseg_ros.segmentation.load import Load
+from turbseg_ros.segmentation.look_ahead import LookAhead
 from turbseg_ros.segmentation.motion import MotionMeasure, next_interval
 from turbseg_ros.segmentation.motion_worker import MotionJob, MotionWorker
 from turbseg_ros.segmentation.moving import Moving, propagated
@@ -28,8 +29,9 @@ _CALM = 2
 class MotionSchedule:
     """Has motion measured in every n-th frame, ahead of its use, and propagates it in between.
 
-    :param causal: whether nothing may be waited for: a measurement is then asked for half a
-        period late, and brought up to date by propagation.
+    :param look_ahead: frames that follow a frame before motion is measured in it, and for which
+        that may take. Where it is segmented before that is done, what is measured is brought up
+        to date by propagation.
     :param objects_in: tells where objects that have travelled will be in a frame, at detail
         resolution.
     """
@@ -41,7 +43,7 @@ class MotionSchedule:
         measure: MotionMeasure,
         worker: MotionWorker,
         flow: FlowParameters,
-        causal: bool,
+        look_ahead: LookAhead,
         observer: StageObserver,
         objects_in: Callable[[int], Sequence[CroppedMask]] = lambda index: (),
     ) -> None:
@@ -53,8 +55,9 @@ class MotionSchedule:
         self._every = flow.every
         self._widest = flow.interval
         self._interval = flow.interval
-        # Frames after which a measurement is asked for, if none are waited for anyway.
-        self._lag = (flow.every + 1) // 2 if causal else 0
+        self._look_ahead = look_ahead
+        # By the frames in which motion is being measured: the one from which on it is known.
+        self._known_from: dict[int, int] = {}
         self._due = 0
         self._submitted = -1
         self._objects_in = objects_in
@@ -95,25 +98,41 @@ class MotionSchedule:
         self._settled = self._explained and bool(confirmed) and all(confirmed)
 
     def _what_moves(self, index: int) -> Moving | None:
-        measured = index - self._lag
         if not self._window.shows_scene(index):
-            self._worker.drop(measured)
+            self._drop_until(index)
+            self._submitted = max(self._submitted, index)
             return None
-        if self._is_due(index) and index not in self._worker:
-            self._submit(index)
-        if measured in self._worker:
-            taken = self._worker.take(measured)
+        self._measure_at_once(index)
+        known = [source for source, since in self._known_from.items() if since <= index]
+        if known:
+            source = max(known)
+            del self._known_from[source]
+            taken = self._worker.take(source)
+            self._drop_until(source)
             if taken is None or taken.measured:
-                found = self._propagated(taken, measured, index)
+                found = self._propagated(taken, source, index)
                 return None if found is None else replace(found, measured=True)
         return self._propagated(self._last, index - 1, index)
 
-    def _is_due(self, index: int) -> bool:
-        """Whether motion is to be measured in a frame: in turn, or as none can be propagated."""
-        if index == self._due:
-            return True
-        can_be_propagated = self._last is not None and self._window[index].continues
-        return not can_be_propagated and not (self._lag and len(self._worker))
+    def _measure_at_once(self, index: int) -> None:
+        """Have motion measured where nothing is waited for any more, or can be propagated."""
+        if self._submitted < self._due <= index - self._look_ahead.lag:
+            self._submit(self._due, known_from=index)
+        if self._last is not None and self._window[index].continues:
+            return
+        if self._look_ahead.segmentation == 0:
+            if not self._known_from:
+                self._submit(index, known_from=index + self._look_ahead.lag)
+        elif index in self._known_from:
+            self._known_from[index] = index
+        else:
+            self._submit(index, known_from=index)
+
+    def _drop_until(self, index: int) -> None:
+        """Forget what is being measured in a frame and those before."""
+        for source in [k for k in self._known_from if k <= index]:
+            del self._known_from[source]
+            self._worker.drop(source)
 
     def _propagated(self, moving: Moving | None, source: int, target: int) -> Moving | None:
         """Return what moves in one frame as it moves in a later one; None across a cut."""
@@ -129,13 +148,20 @@ class MotionSchedule:
         """Have motion measured in the next frame that is due, while outlines are drawn."""
         # What coasts is outlined only where motion is measured.
         sparse = load.sparse_motion or (self._settled and not load.coasts)
-        if index >= self._due:
-            self._due = (index // self._every + (SPARSE if sparse else 1)) * self._every
-        is_at_hand = self._due < self._window.count and self._due <= index + self._every
-        if is_at_hand and self._due not in self._worker:
-            self._submit(self._due)
+        if self._due <= min(self._submitted, index):
+            step = self._every * (SPARSE if sparse else 1)
+            self._due = index // self._every * self._every + step
+        following = self._window.count - 1 - self._due
+        is_at_hand = following >= self._look_ahead.neighbours and self._due <= index + self._every
+        if is_at_hand and self._submitted < self._due:
+            self._submit(self._due, known_from=max(self._due, index + self._look_ahead.measuring))
 
-    def _submit(self, index: int) -> None:
+    def _submit(self, index: int, known_from: int) -> None:
+        """Have motion measured in a frame.
+
+        :param known_from: the frame in which that is waited for.
+        """
+        self._known_from[index] = known_from
         wanted = self._measure.intervals(self._interval)
         neighbourhood = self._window.neighbourhood(index, wanted)
         before, self._submitted = self._submitted, index
@@ -158,7 +184,9 @@ class MotionSchedule:
         return replace(self._last, measured=False)
 
 
-def frame_window(parameters: Parameters, measure: MotionMeasure) -> FrameWindow:
+def frame_window(
+    parameters: Parameters, measure: MotionMeasure, look_ahead: LookAhead
+) -> FrameWindow:
     """Return an empty window that will hold the frames that a schedule asks for."""
     flow, outline = parameters.flow, parameters.outline
     return FrameWindow(
@@ -168,7 +196,7 @@ def frame_window(parameters: Parameters, measure: MotionMeasure) -> FrameWindow:
             SPARSE * flow.every,
             *(-k for k in measure.intervals(flow.interval)),
         ),
-        look_ahead=parameters.segmentation_look_ahead,
+        look_ahead=look_ahead.segmentation,
         warm_up=0 if parameters.is_causal else parameters.latency.warm_up,
         memory=outline.memory,
         key_step=outline.key_step,

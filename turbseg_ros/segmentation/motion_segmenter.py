@@ -14,6 +14,7 @@ from turbseg_ros.segmentation.camera_state import CameraTrack
 from turbseg_ros.segmentation.condition import Condition
 from turbseg_ros.segmentation.frame import Frame, SegmentationResult
 from turbseg_ros.segmentation.load import Load
+from turbseg_ros.segmentation.look_ahead import LookAhead
 from turbseg_ros.segmentation.observer import StageObserver
 from turbseg_ros.segmentation.passed_frames import (
     MAX_PASSED,
@@ -27,6 +28,7 @@ from turbseg_ros.segmentation.pipeline import Pipeline
 from turbseg_ros.segmentation.preparation import FramePreparer
 from turbseg_ros.segmentation.resolution import Resolution
 from turbseg_ros.segmentation.strategies import Strategies
+from turbseg_ros.segmentation.track import Tracker
 
 S = TypeVar("S", bound="MotionSegmenter")
 
@@ -103,10 +105,13 @@ class MotionSegmenter:
     @property
     def look_ahead(self) -> int:
         """Frames that must follow a frame before its result is given."""
-        if self._parameters.is_causal:
-            return 0
-        # One more while a frame is prepared beside all else.
-        return self._parameters.segmentation_look_ahead + self._strategies.tracker.delay + 1
+        return self._look_ahead.frames
+
+    @property
+    def _look_ahead(self) -> LookAhead:
+        strategies, widest = self._strategies, self._parameters.flow.interval
+        intervals = strategies.measure.intervals(widest)
+        return LookAhead.of(self._parameters, intervals, strategies.tracker.delay)
 
     def empty_result(self, frame: Frame) -> SegmentationResult:
         """Return the result of a frame in which nothing was found, as this segmenter gives it."""
@@ -176,9 +181,15 @@ class MotionSegmenter:
             kind=_kind_of(frame),
             preparer=FramePreparer(resolution, self._preparation, self._observer),
             pipeline=Pipeline(
-                resolution, self._parameters, self._strategies, self._motion, self._observer
+                resolution,
+                self._parameters,
+                self._strategies,
+                self._look_ahead,
+                self._motion,
+                self._observer,
             ),
-            strategies=self._strategies,
+            tracker=self._strategies.tracker,
+            look_ahead=self._look_ahead,
             causal=self._parameters.is_causal,
             observer=self._observer,
         )
@@ -192,7 +203,8 @@ class _Stream:
         kind: tuple[object, ...],
         preparer: FramePreparer,
         pipeline: Pipeline,
-        strategies: Strategies,
+        tracker: Tracker,
+        look_ahead: LookAhead,
         causal: bool,
         observer: StageObserver,
     ) -> None:
@@ -200,8 +212,9 @@ class _Stream:
         self._observer = observer
         self._preparer = preparer
         self._pipeline = pipeline
-        self._tracker = strategies.tracker
-        self._delay = 0 if causal else strategies.tracker.delay
+        self._tracker = tracker
+        self._look_ahead = look_ahead
+        self._segmented = 0
         self._doubtful = DoubtfulFrames(causal)
         # Frames not yet answered whose conditions are settled.
         self._waiting: deque[WaitingFrame] = deque()
@@ -258,7 +271,7 @@ class _Stream:
                 break
             self._segment(index, load)
         self._answer_passed()
-        return self._results(self._delay)
+        return self._results(self._look_ahead.results_kept(self._segmented))
 
     def finish(self, load: Callable[[], Load]) -> list[SegmentationResult]:
         """Segment all that is left, as the load permits by then; return all their results."""
@@ -276,6 +289,7 @@ class _Stream:
         self._answer_passed()
         waiting = self._waiting.popleft()
         pending = self._pipeline.segment_frame(index, waiting.frame, load)
+        self._segmented += 1
         self._unseen = 0
         self._last = replace(pending, condition=waiting.condition)
         self._pending.append(self._last)

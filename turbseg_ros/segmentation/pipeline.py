@@ -27,6 +27,7 @@ from turbseg_ros.segmentation.cropped_mask import CroppedMask, union_mask
 from turbseg_ros.segmentation.evidence import PictureEvidence
 from turbseg_ros.segmentation.frame import Frame
 from turbseg_ros.segmentation.load import Load
+from turbseg_ros.segmentation.look_ahead import LookAhead
 from turbseg_ros.segmentation.motion import BEYOND_TURBULENCE, MotionEstimate, measure_for
 from turbseg_ros.segmentation.motion_schedule import MotionSchedule, frame_window
 from turbseg_ros.segmentation.motion_worker import MotionJob, MotionWorker
@@ -54,11 +55,12 @@ class Pipeline:
         resolution: Resolution,
         parameters: Parameters,
         strategies: Strategies,
+        look_ahead: LookAhead,
         executor: Executor,
         observer: StageObserver,
     ) -> None:
         self.resolution = resolution
-        self.window = frame_window(parameters, strategies.measure)
+        self.window = frame_window(parameters, strategies.measure, look_ahead)
         # Which cells of the picture stand still while the scene moves, hxw; None while unknown.
         self._overlay: Mask | None = None
         self._parameters = parameters
@@ -71,7 +73,7 @@ class Pipeline:
             strategies.measure,
             self._worker,
             parameters.flow,
-            parameters.is_causal,
+            look_ahead,
             observer,
             self._travelled_objects,
         )
@@ -168,10 +170,8 @@ class Pipeline:
     def voteless(self) -> Mask | None:
         """Return which cells of the newest frame have no vote in its registration, hxw."""
         objects = self._travelled_objects(self.window.count - 1)
-        shape = self.resolution.processing_shape
-        return without_vote(
-            self._overlay, cells_of_objects(objects, self.resolution.detail, shape)
-        )
+        size, shape = self.resolution.detail, self.resolution.processing_shape
+        return without_vote(self._overlay, cells_of_objects(objects, size, shape))
 
     def cancel(self) -> None:
         """Give up what is measured ahead."""

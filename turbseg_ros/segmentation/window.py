@@ -20,6 +20,9 @@ from turbseg_ros.segmentation.registration import align, visible
 
 # Flow within this many pixels of another frame's border follows the border, not the scene.
 _BORDER = 4.0
+# The camera stands where its motion takes no corner of the picture further than that, in pixels.
+# Where it moves, what a frame further away shows differs by more than things' own motion.
+_STANDS = 1.0
 # With fewer views of it, the median of the background is a matter of chance.
 _ENOUGH_KEY_FRAMES = 6
 
@@ -174,7 +177,10 @@ class FrameWindow:
 
         What is missing on one side, at the ends of the stream, is taken from the other. With all
         on one side, others near are added, for then the frame's own tilt has to be told as well.
+        Where one alone is wanted ahead, one half as far will do. If the camera stands, the one on
+        the other side is as much further away: both lie as far apart as they would.
         """
+        wanted = self._within_reach(centre, wanted)
         there = {
             k if self._is_use(centre + k, centre) else -k
             for k in wanted
@@ -188,6 +194,27 @@ class FrameWindow:
                 if k and self._is_use(centre + k, centre)
             }
         return sorted(there)
+
+    def _within_reach(self, centre: int, wanted: Sequence[int]) -> Sequence[int]:
+        """Return the intervals wanted, one that lies ahead alone as far as frames have come."""
+        ahead = [k for k in wanted if k > 0]
+        if len(ahead) != 1:
+            return wanted
+        (widest,) = ahead
+        for k in range(widest, (widest + 1) // 2 - 1, -1):
+            if self._is_use(centre + k, centre):
+                behind = k - 2 * widest
+                if not (self._is_use(centre + behind, centre) and self._stands(centre, behind)):
+                    behind = -widest
+                return [k, *(behind if each == -widest else each for each in wanted if each < 0)]
+        return wanted
+
+    def _stands(self, centre: int, interval: int) -> bool:
+        """Whether the camera stood, or nearly so, from one frame to another."""
+        height, width = self._frames[centre].grey.shape
+        corners = np.array([[0, width, 0, width], [0, 0, height, height], [1, 1, 1, 1]])
+        moved = self.transform(centre, centre + interval) @ corners
+        return bool(np.abs(moved - corners)[:2].max() < _STANDS)
 
     def key_frames(self, centre: int) -> list[int]:
         """Return the indices of the frames that show the scene at other times than `centre`."""

@@ -57,6 +57,11 @@ def _drive(x: float, y: float, velocity: float, frames: int = 75) -> Path:
     return Path(((0, x, y), (frames, x + velocity * frames, y)))
 
 
+def _late(x: float, y: float, velocity: float, start: int, frames: int = 75) -> Path:
+    """Wait out of sight until a frame, then drive on from there."""
+    return Path(((start, x, y), (frames, x + velocity * (frames - start), y)))
+
+
 _WHITE: Colour = (0.7, 0.71, 0.71)
 _BLACK: Colour = (0.13, 0.12, 0.12)
 _BLUE: Colour = (0.55, 0.3, 0.16)
@@ -266,6 +271,18 @@ _LARGE: tuple[Scene, ...] = (
             SceneObject(3, "person", 40, _drive(330, 219, -1.4, 220), _BLACK),
         ),
         sensor=_SMALL_SENSOR, width=512, height=288, frames=220,
+    ),
+    Scene(
+        "entering",
+        "a walker, a van and a sedan that come into an empty street, one after the other",
+        "town",
+        _HAZE,
+        (
+            SceneObject(2, "van", 70, _late(550, 169, -2.8, 30), _WHITE),
+            SceneObject(1, "sedan", 66, _late(-40, 197, 3.2, 42), _RED),
+            SceneObject(3, "person", 40, _late(-12, 219, 1.1, 22), _BLUE),
+        ),
+        sensor=_SMALL_SENSOR, width=512, height=288, frames=70,
     ),
     Scene(
         "comeback",
