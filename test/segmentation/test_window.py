@@ -179,6 +179,16 @@ def test_the_pair_is_not_shifted_while_the_camera_moves() -> None:
     assert window.neighbours(19, [-12, -4, 4]) == [-12, -4, 2]
 
 
+@pytest.mark.parametrize(
+    ("centre", "neighbours"), [(1, []), (2, [-2, -1]), (3, [-3, -2, -1]), (4, [-4, -2, -1])]
+)
+def test_at_the_beginning_a_past_half_as_long_will_do(centre: int, neighbours: list[int]) -> None:
+    window = FrameWindow(12, 0, memory=48, key_step=3)
+    for index in range(centre + 1):
+        window.append(tiny_frame(index))
+    assert window.neighbours(centre, [-12, -4, 4]) == neighbours
+
+
 def test_a_mean_is_not_shifted() -> None:
     assert filled(9, interval=4).neighbours(6, [-4, -2, 2, 4]) == [-4, -2, 2]
 

@@ -207,7 +207,10 @@ class FrameWindow:
                 if not (self._is_use(centre + behind, centre) and self._stands(centre, behind)):
                     behind = -widest
                 return [k, *(behind if each == -widest else each for each in wanted if each < 0)]
-        return wanted
+        past = (
+            k for k in range(widest, (widest + 1) // 2 - 1, -1) if self._is_use(centre - k, centre)
+        )
+        return [-next(past, widest) if each == -widest else each for each in wanted]
 
     def _stands(self, centre: int, interval: int) -> bool:
         """Whether the camera stood, or nearly so, from one frame to another."""
