@@ -49,11 +49,12 @@ def measured(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
 
 def test_while_nothing_moves_motion_is_seldom_measured(measured: list[int]) -> None:
-    results = segmented(NOTHING.images(CALM))
-    assert stamps(results) == list(range(CALM))
+    frames_shown = 2 * CALM
+    results = segmented(NOTHING.images(frames_shown))
+    assert stamps(results) == list(range(frames_shown))
     assert not any(result.objects for result in results)
-    # In the first second it is, and then once in four times.
-    assert len(measured) < 0.7 * IN_TURN
+    # In the first seconds it is, and then once in four times.
+    assert len(measured) < 0.7 * 2 * IN_TURN
 
 
 def test_while_all_that_moves_is_known_motion_is_measured_half_as_often(
@@ -91,7 +92,7 @@ def test_what_comes_is_found_as_if_motion_had_been_measured_always(
 
 
 def first_found(results: list[SegmentationResult], count: int = 1) -> int:
-    return next(result.frame.stamp for result in results if len(result.objects) == count)
+    return next(result.frame.stamp for result in results if len(result.objects) >= count)
 
 
 def two_squares() -> Iterator[np.ndarray]:
