@@ -112,3 +112,22 @@ def test_the_poorer_model_tells_the_motion() -> None:
     assert tracks(pan(1.0, 1))[0].model_beside(measured) == measured
     assert CameraTrack().model_beside(measured) == measured
     assert tracks(held(1))[0].model_beside(measured) == "held"
+
+
+def stood(registrations: Iterable[Registration | None]) -> bool:
+    return tracks(registrations)[-1].has_stood(SIZE)
+
+
+def test_a_camera_has_stood_when_it_was_seen_to_for_a_while() -> None:
+    assert stood(pan(0.0, HALF_A_SECOND))
+    assert stood(shake(0.3, HALF_A_SECOND))
+    assert not stood(pan(0.0, 4))
+    assert not stood(held(HALF_A_SECOND))
+    assert not stood([*pan(0.0, HALF_A_SECOND), *pan(7.5, 1)])
+
+
+def test_what_is_burnt_in_holds_a_camera_for_a_second_only() -> None:
+    outvoted = [Registration(np.eye(3), EgoMotionModel.TRANSLATION, outvoted=True)]
+    assert stood([*pan(0.0, HALF_A_SECOND), *29 * outvoted])
+    assert not stood([*pan(0.0, HALF_A_SECOND), *30 * outvoted])
+    assert stood([*pan(0.0, HALF_A_SECOND), *30 * outvoted, *pan(0.0, 1)])

@@ -127,3 +127,22 @@ def test_a_target_smaller_than_the_window_is_confirmed_by_its_own_pixels() -> No
 
     evidence = PictureEvidence(drawn(63, 1), {4: drawn(67, 2)}, {4: flow_of(4.0)})
     assert gain(evidence) > 2.0
+
+
+def test_flow_is_followed_where_it_is_what_moved_and_not_where_it_smears() -> None:
+    scene = textured(20.0)
+    flows = {k: flow_of(0.0) for k in (-4, 4)}
+    for k, flow in flows.items():
+        flow[:, 96:] = (2.0 * k, 0.0)
+    pictures = {k: seen(scene, 1.0, k + 9) for k in flows}
+    followed = PictureEvidence(seen(scene, 1.0, 1), pictures, flows).followed()
+    assert followed is not None
+    assert followed[:, :88].mean() > 0.9
+    assert not followed[:, 104:].any()
+
+
+def test_nothing_is_followed_before_a_plain_sky() -> None:
+    sky = np.full(SHAPE, 120.0)
+    evidence = PictureEvidence(seen(sky, 1.0, 1), {4: seen(sky, 1.0, 2)}, {4: flow_of(0.0)})
+    assert evidence.followed() is None
+    assert PictureEvidence(seen(sky, 1.0, 1), {}, {}).followed() is None

@@ -165,6 +165,27 @@ def test_an_edge_that_stands_out_here_and_there_never_becomes_an_object() -> Non
             assert not observation.track.confirmed
 
 
+@pytest.mark.parametrize(("height", "tracks"), [(40, 1), (120, 2)])
+def test_what_stands_out_is_not_taken_for_something_of_another_size(
+    height: int, tracks: int
+) -> None:
+    tracker = tracker_of()
+    found = [
+        only(update(tracker, [replace(seen(100, 60, width=40, height=each), flow_known=False)]))
+        for each in (30, height)
+    ]
+    assert len({id(observation.track) for observation in found}) == tracks
+
+
+def test_what_wanders_along_the_border_never_becomes_an_object() -> None:
+    # To and fro by 5 pixels a frame, and down by one in two.
+    tracker = tracker_of()
+    for frame in range(20):
+        outline = seen(2 + 5 * (frame % 2), 30 + 0.5 * frame, width=12, height=20)
+        for observation in update(tracker, [replace(outline, truncated=True)], tilt=0.1):
+            assert not observation.track.confirmed
+
+
 def test_an_object_that_hides_for_some_frames_keeps_its_id() -> None:
     tracker = tracker_of()
     before = follow(tracker, range(8), (5, 30), (3, 0))

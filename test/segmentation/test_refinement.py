@@ -59,7 +59,8 @@ def test_nothing_is_found_where_the_refiner_sees_only_background() -> None:
 
 def test_where_nothing_is_outlined_nothing_is_looked_for_until_motion_is_measured_again() -> None:
     blind = Oracle([np.zeros(SCENE.shape, bool)] * len(FRAMES))
-    segmenter = segmenter_refined_by(blind, PARAMETERS)
+    parameters = PARAMETERS.replace({"seed.standing_out": False})
+    segmenter = segmenter_refined_by(blind, parameters)
     for frame in FRAMES:
         segmenter.push(frame)
     segmenter.flush()

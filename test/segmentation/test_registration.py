@@ -168,6 +168,7 @@ def test_a_big_moving_object_takes_no_part_in_the_ego_motion() -> None:
 )
 def test_pictures_with_nothing_in_common_have_no_motion(other: ByteImage) -> None:
     for source, target in ((GROUND, other), (other, GROUND)):
+        assert register(source, target, stood=True) is None
         assert register(source, target) is None
 
 
@@ -290,6 +291,43 @@ def test_fast_objects_over_much_of_a_still_view_are_not_its_motion() -> None:
         np.where(where, np.roll(cars, step, axis=0), road).astype(np.uint8) for step in (0, 24)
     )
     found = register(source, target)
+    assert found is not None
+    assert np.abs(found.motion - np.eye(3)).max() < 0.5
+
+
+def traffic(step: int) -> ByteImage:
+    """A faint road with cars over half of it, which have gone on by some pixels."""
+    ground = texture((240, 320), seed=5, grain=3.0).astype(np.float32)
+    seen = 110.0 + 0.2 * (ground - ground.mean())
+    seen[:, 80:240] = np.roll(texture((240, 160), seed=6, grain=3.0), step, axis=0)
+    return noisy(seen, step)
+
+
+def test_what_fills_half_of_a_view_does_not_move_a_camera_that_stood() -> None:
+    known, told = (register(traffic(0), traffic(18), stood=each) for each in (True, False))
+    assert known is not None
+    assert told is not None
+    assert np.array_equal(known.motion, np.eye(3))
+    assert known.outvoted
+    # One pair of pictures doesn't tell it.
+    assert told.motion[1, 2] == pytest.approx(18.0, abs=1.0)
+
+
+def test_a_camera_that_stood_may_be_moved() -> None:
+    motion = shift(14.0, -9.0)
+    found = register(GROUND, warped(GROUND, motion), stood=True)
+    assert found is not None
+    assert not found.outvoted
+    assert largest_error(found.motion, motion) < 0.2
+
+
+def test_a_view_that_changes_but_for_its_margin_is_the_same_scene() -> None:
+    # Leaves before the lens, no two pictures alike; what is beside them stays.
+    before, after = GROUND.copy(), GROUND.copy()
+    for seed, picture in enumerate((before, after)):
+        picture[:, 40:] = texture((144, 200), seed=20 + seed, low=0, high=255, grain=2.0)
+    assert register(before, after) is None
+    found = register(before, after, stood=True)
     assert found is not None
     assert np.abs(found.motion - np.eye(3)).max() < 0.5
 

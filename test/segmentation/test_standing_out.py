@@ -58,7 +58,7 @@ def empty_past() -> Past:
 
 
 def standing(image: ByteImage, before: Past, looked_at: Mask = NOTHING) -> list[MovingArea]:
-    return standing_areas(noisy(image, 99), before, looked_at)
+    return standing_areas(scene_behind(noisy(image, 99), NOTHING), before, looked_at)
 
 
 def test_an_empty_scene_stands_out_nowhere(empty_past: Past) -> None:
@@ -103,6 +103,12 @@ def test_another_scene_has_no_objects(empty_past: Past) -> None:
 
 def test_no_past_is_known_of_few_views() -> None:
     assert past_in([seen_as(road())] * 4, SIZE, tilt=0.2) is None
+
+
+@pytest.mark.parametrize(("aside", "known"), [(12.0, True), (40.0, False)])
+def test_views_from_elsewhere_tell_nothing_of_the_past(aside: float, known: bool) -> None:
+    views = [seen_as(road(), translation(aside, 0.0)) for _ in range(6)]
+    assert (past_in(views, SIZE, tilt=0.2) is not None) == known
 
 
 def test_the_past_follows_the_camera(empty_past: Past) -> None:

@@ -19,6 +19,10 @@ _SLEW_SPAN, _STEADY_SPAN = 3, 12
 # Displacement a frame, in widths of the picture: from the first on the camera moves, from the
 # second on what lies within the window's reach has little in common.
 _MOVES, _SLEWS = 0.001, 0.025
+# Displacement from one frame to the next, in widths, that the shimmer of a picture at rest makes.
+_STANDS = 0.005
+# Frames in a row for which what is burnt into a picture may pass for a scene at rest.
+_MAX_OUTVOTED = 30
 # Displacement over path length, from which the motion is one on purpose.
 _STEADY = 0.7
 # Where points of the picture are asked for their path, in widths and heights.
@@ -45,6 +49,7 @@ class CameraTrack:
     `state` and `model`, that of its registration to the frame before, are the frame's; `expected`
     takes its pixels to where the next frame should show them; `view` counts the slews that have
     ended: frames of two views aren't compared. `motions` are the latest, None where not known.
+    For `outvoted` frames it has been taken to stand though most of the picture moved.
     """
 
     state: CameraState = CameraState.STILL
@@ -52,6 +57,16 @@ class CameraTrack:
     expected: Matrix = field(default_factory=lambda: np.eye(3))
     view: int = 0
     motions: tuple[Matrix | None, ...] = ()
+    outvoted: int = 0
+
+    def has_stood(self, size: tuple[int, int]) -> bool:
+        """Whether it stood in its latest frames, and hasn't been taken to for too long.
+
+        :param size: the frames' width and height.
+        """
+        known = [motion for motion in self.motions if motion is not None]
+        enough = len(known) > _STEADY_SPAN // 2 and self.outvoted < _MAX_OUTVOTED
+        return enough and all(_displacement((each,), size)[0] < _STANDS for each in known)
 
     def lost(self) -> CameraTrack:
         """Return what is known in a frame that shows nothing."""
@@ -78,6 +93,7 @@ class CameraTrack:
         moves = _state(motions, size)
         # Within a slew, one frame more or less that can't be told changes nothing.
         state = moves if known or moves is CameraState.SLEWING else CameraState.LOST
+        outvoted = registration is not None and registration.outvoted
         ended = self.state is CameraState.SLEWING and state is not CameraState.SLEWING
         return CameraTrack(
             state=state,
@@ -86,6 +102,7 @@ class CameraTrack:
             view=self.view + int(ended),
             # What it did in a slew tells nothing of what it does after it.
             motions=motions[-1:] if ended else motions,
+            outvoted=self.outvoted + 1 if outvoted else 0,
         )
 
 

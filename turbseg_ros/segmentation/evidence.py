@@ -21,6 +21,9 @@ Points = npt.NDArray[np.intp]
 
 # Side of what flow compares, and times what noise makes of its contrast that something is there.
 _PATCH, _TEXTURED = 9, 1.5
+# Share of a patch's contrast, the mean range of grey values nearby, that it may differ by along
+# the flow, and share of the picture that must be followed for it to speak for all of it.
+_FOLLOWED, _MUCH = 0.25, 0.03
 # Side of the smallest target, and how much stronger its evidence must be than a window's.
 _TARGET, _WEIGHT = 3, 3.0
 # Every so many pixels each way one tells the noise.
@@ -92,6 +95,25 @@ class PictureEvidence:
         contrast = cv2.blur(local_range(self.grey), (_PATCH, _PATCH))
         return np.asarray(contrast > _TEXTURED * 3.0 * noise / 1.13)
 
+    def followed(self) -> Mask | None:
+        """Return where the flows surely follow the picture, HxW; None where that is too little.
+
+        There is texture, and each neighbour looks along its flow as the frame does. What goes too
+        fast for flow leaves a smear far around it, which does not.
+        """
+        if not self.neighbours:
+            return None
+        least = np.float32(_FOLLOWED) * _mean_nearby(local_range(self.grey))
+        followed = self.textured()
+        grid = pixel_grid((self.grey.shape[0], self.grey.shape[1]))
+        for k, neighbour in self.neighbours.items():
+            target = cv2.add(grid, self.flows[k])
+            along_flow = cv2.remap(
+                neighbour, target, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+            )
+            followed &= _mean_nearby(cv2.absdiff(self.grey, along_flow)) < least
+        return followed if np.count_nonzero(followed) > _MUCH * followed.size else None
+
     @functools.cached_property
     def _noise(self) -> dict[int, float]:
         """Mean absolute difference of grey values that noise makes to each neighbour."""
@@ -105,6 +127,12 @@ class PictureEvidence:
         quiet = np.partition(difference, int(_QUIET * (len(difference) - 1)))
         mean = float(quiet[: max(int(_QUIET * len(difference)), 1)].mean())
         return max(_MEAN_OVER_QUIET * mean, _ROUNDING)
+
+
+def _mean_nearby(values: ByteImage) -> Map:
+    """Return the mean over the patch around each pixel, HxW."""
+    mean: Map = cv2.boxFilter(values, cv2.CV_32F, (_PATCH, _PATCH))
+    return mean
 
 
 def local_range(grey: ByteImage) -> ByteImage:

@@ -40,11 +40,16 @@ _CONFIRMED_RATIO = 0.35
 # Least IoU of a mask with the one before, propagated, on average over the frames of confirmation
 # and, for an object, over a longer span: leaves and waves change their shape all the time.
 _MIN_SHAPE_IOU = 0.4
+# Times by which the area of what isn't known to be an object, nor told by flow, may change.
+_OTHER_SIZE = 3.0
 # Share of the tilt that a centroid jitters by: over an object's pixels it cancels in part.
 _SHARED_TILT = 0.35
 # Times what is usual by which a track's place jitters when it flickers, the least tilt in pixels
 # that counts there, and times as often that it must be seen then to become an object.
 _FLICKER, _MIN_TILT, _FLICKER_HITS = 2.0, 0.2, 2
+# Jitter of the middle of an outline that flow shows to move, in roots of its area: it is never
+# drawn twice alike.
+_REDRAWN = 0.02
 # Share of its size that an object must have travelled to be certainly no clutter.
 _TRAVELLED = 0.5
 # Least displacement of what no flow shows to move, in roots of its area, and over its path
@@ -56,6 +61,9 @@ _LOST, _PASSING, _OTHER_SPEED = 2, 0.5, 0.5
 # Standard deviations that a lost object may be off its expected place, and by what its area, at
 # most times as large, and its colour, in grey values, may differ when it is found again.
 _SURE, _SIZES, _COLOURS = 3.0, 3.0, 40.0
+# Share of its path length that what the border cuts off must have travelled: its jitter isn't
+# known.
+_WANDERS = 0.25
 # Frames for which the place of one that got nowhere is remembered.
 _CLUTTER_SPAN = 300
 
@@ -377,8 +385,10 @@ class KalmanTracker:
         )
         if any(site.holds(track.start) for site in self._clutter_sites):
             wanted = max(wanted, track.size)
-        if not track.detection.flow_known:
-            wanted = max(wanted, _CLEAR * np.sqrt(track.detection.area), _STRAIGHT * track.walked)
+        if not track.detection.flow_known and not _gets_clear(track):
+            return False
+        if track.detection.truncated:
+            wanted = max(wanted, _WANDERS * track.walked)
         return track.travelled >= wanted
 
     def _significant_displacement(self, track: Track, tilt: float) -> float:
@@ -428,7 +438,16 @@ def _flickers(track: Track, tilt: float) -> bool:
     """
     if track.detection.truncated:
         return False
-    return jitter(track.sightings, tilt) > _FLICKER * max(tilt, _MIN_TILT)
+    usual = max(tilt, _MIN_TILT)
+    if track.detection.flow_known:
+        usual = max(usual, _REDRAWN * float(np.sqrt(track.detection.area)))
+    return jitter(track.sightings, tilt) > _FLICKER * usual
+
+
+def _gets_clear(track: Track) -> bool:
+    """Whether a track has gone straight on, further than it is wide."""
+    clear = _CLEAR * float(np.sqrt(track.detection.area))
+    return track.travelled >= max(clear, _STRAIGHT * track.walked)
 
 
 def _may_be_noise(track: Track, detection: Detection) -> bool:
@@ -493,6 +512,9 @@ def _cost(track: Track, detection: Detection, tilt: float) -> float:
     if distance > reach:
         return _UNMATCHABLE
     size = track.detection.area, detection.area
+    by_flow = track.detection.flow_known and detection.flow_known
+    if not (track.confirmed or by_flow) and max(size) > _OTHER_SIZE * min(size):
+        return _UNMATCHABLE
     change_of_size = float(np.log(max(size) / max(min(size), 1)))
     change_of_velocity = float(np.hypot(*np.subtract(detection.velocity, track.velocity)))
     speed = max(float(np.hypot(*detection.velocity)), float(np.hypot(*track.velocity)), 0.5)

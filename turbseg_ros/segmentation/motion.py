@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
@@ -27,6 +27,8 @@ _MIN_NOISE = 0.015
 # fast for the flow. Below the second it stands still again.
 BEYOND_TURBULENCE = 2.0
 _WITHIN_TURBULENCE = 0.4
+# Tilt in pixels from which on it is asked whether flow follows the picture, or is smear.
+_DOUBTFUL = 1.0
 # Medians over a map are taken from about so many pixels.
 _SAMPLES = 10000
 
@@ -40,7 +42,8 @@ class MotionEstimate:
     motion an axis in pixels, NaN where no pair of intervals allows to measure it; `visible` tells
     which pixels had enough neighbours. `clutter` is by how much each cell of the scene is known to
     move without anything being there, hxw in pixels a frame, see `clutter.ClutterMemory`; None
-    where nothing is known.
+    where nothing is known. `disorder` is what the tilt would be if flow followed the picture
+    everywhere: more than that where it fails; NaN as well where it isn't measured.
     """
 
     velocity: Flow
@@ -50,6 +53,7 @@ class MotionEstimate:
     visible: npt.NDArray[np.bool_]
     ego_motion_model: str
     clutter: Map | None = None
+    disorder: float = float("nan")
 
 
 class MotionMeasure(Protocol):
@@ -71,9 +75,14 @@ class MotionMeasure(Protocol):
 
 @dataclass(frozen=True)
 class AffineMotion:
-    """M is what a robust affine ego-motion leaves of the averaged flow, in place of eq. 2."""
+    """M is what a robust affine ego-motion leaves of the averaged flow, in place of eq. 2.
+
+    :param followed: tells where flow surely follows the picture, HxW, None where it is too little.
+        It is asked where more seems to be tilt than turbulence makes.
+    """
 
     average: Average
+    followed: Callable[[], Mask | None] = lambda: None
 
     def intervals(self, interval: int) -> list[int]:
         """Return those of the average."""
@@ -84,7 +93,14 @@ class AffineMotion:
     ) -> list[MotionEstimate]:
         """Measure over each baseline of the average; see `MotionMeasure`."""
         residuals = _residuals(flows, valid)
-        return _estimates(residuals, residuals, valid, self.average, interval, "affine")
+        disorder = measured_tilt(residuals, valid)
+        found = _estimates(residuals, disorder, valid, self.average, interval, "affine")
+        followed = self.followed() if disorder > _DOUBTFUL else None
+        if followed is None:
+            return found
+        told = {k: seen * followed for k, seen in valid.items()}
+        tilt = measured_tilt(_residuals(flows, told), told)
+        return [replace(each, tilt=tilt) for each in found]
 
 
 @dataclass(frozen=True)
@@ -104,8 +120,8 @@ class UncheckedMotion:
         self, flows: Mapping[int, Flow], valid: Mapping[int, Map], interval: int
     ) -> list[MotionEstimate]:
         """Measure over each baseline of the average; see `MotionMeasure`."""
-        residuals = _residuals(flows, valid)
-        return _estimates(flows, residuals, valid, self.average, interval, "none")
+        tilt = measured_tilt(_residuals(flows, valid), valid)
+        return _estimates(flows, tilt, valid, self.average, interval, "none")
 
 
 @dataclass(frozen=True)
@@ -154,30 +170,35 @@ class MotionAgainstPicture:
     ) -> list[MotionEstimate]:
         """Measure over each baseline of the average; see `MotionMeasure`."""
         followed = {k: flow * self.textured[..., None] for k, flow in flows.items()}
-        return _estimates(followed, followed, valid, self.average, interval, "none")
+        tilt = measured_tilt(followed, valid)
+        return _estimates(followed, tilt, valid, self.average, interval, "none")
 
 
-def measure_for(measure: MotionMeasure, textured: Mask | None) -> MotionMeasure:
+def measure_for(
+    measure: MotionMeasure, textured: Mask | None, followed: Callable[[], Mask | None]
+) -> MotionMeasure:
     """Return what measures motion in a frame: the one chosen, if the camera's motion is known.
 
     :param textured: HxW, where flow has something to hold on to; None where the camera's motion
         is known.
+    :param followed: tells where flow follows the picture, HxW, None where it is too little.
     """
-    if textured is None or type(measure) is not AffineMotion:
+    if type(measure) is not AffineMotion:
         return measure
-    return MotionAgainstPicture(measure.average, textured)
+    if textured is not None:
+        return MotionAgainstPicture(measure.average, textured)
+    return replace(measure, followed=followed)
 
 
 def _estimates(
     flows: Mapping[int, Flow],
-    residuals: Mapping[int, Flow],
+    tilt: float,
     valid: Mapping[int, Map],
     average: Average,
     interval: int,
     ego_motion_model: str,
 ) -> list[MotionEstimate]:
-    """Average `flows` over each baseline of the average; tilt is told by the `residuals`."""
-    tilt = measured_tilt(residuals, valid)
+    """Average flows over each baseline of the average."""
     return [
         _estimate(*average(_of(flows, those), _of(valid, those)), tilt, ego_motion_model)
         for those in average.baselines(list(flows), interval)
@@ -203,6 +224,7 @@ def _estimate(
         tilt=tilt,
         visible=visible,
         ego_motion_model=ego_motion_model,
+        disorder=tilt,
     )
 
 
@@ -256,14 +278,16 @@ def sampson_motion(
     )
     motion_map[~visible] = 0.0
     residuals = _residuals(flows, valid)
+    tilt = measured_tilt(residuals, valid)
     noise = max(_robust_deviation(_sample(motion_map)[_sample(visible)]), _MIN_NOISE)
     return MotionEstimate(
         velocity=optical_flow.slope_flow(residuals, valid),
         motion_map=motion_map,
         noise=np.full(shape, noise, np.float32),
-        tilt=measured_tilt(residuals, valid),
+        tilt=tilt,
         visible=visible,
         ego_motion_model="fundamental",
+        disorder=tilt,
     )
 
 
@@ -308,7 +332,7 @@ def next_interval(interval: int, widest: int, tilt: float) -> int:
     """Choose the interval of the next frame: half the widest where what is left is no turbulence.
 
     :param interval: the one that `tilt` was measured over.
-    :param tilt: what was measured as tilt, in pixels; NaN changes nothing.
+    :param tilt: what all flow has for tilt, in pixels; NaN changes nothing.
     """
     if tilt > BEYOND_TURBULENCE:
         return max(widest // 2, 1)

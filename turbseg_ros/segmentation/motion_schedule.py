@@ -77,7 +77,7 @@ class MotionSchedule:
         """
         moving = self._what_moves(index)
         if moving is not None and moving.measured:
-            self._interval = next_interval(self._interval, self._widest, moving.motion.tilt)
+            self._interval = next_interval(self._interval, self._widest, moving.motion.disorder)
         self._last = moving
         self._measure_ahead(index, load)
         return moving

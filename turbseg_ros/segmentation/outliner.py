@@ -46,6 +46,9 @@ _BORDER = 8
 _MIN_SCENE = 0.5
 # Share of an outline that must lie where known objects should be, to count as theirs.
 _KNOWN = 0.5
+# Detail pixels from where a known object should be within which what stands out lies beside it,
+# and the share of it that must stand out to show it whole.
+_BESIDE, _WHOLE = 4, 0.8
 # A known object counts as resting when motion was found on less than this share of it.
 _RESTING = 0.6
 # Share of an outline from which on it is what stands out, and no flow tells its velocity.
@@ -162,6 +165,7 @@ class Outliner:
         image = self._window[index].detail
         measured = union_mask([area.search_mask for area in moving.areas], shape)
         proposed = self._standing_areas(index, moving, measured, tilt)
+        proposed = _apart_or_whole(proposed, expected, shape)
         standing = union_mask([area.search_mask for area in proposed], shape) & ~measured
         looked_at = measured | standing
 
@@ -186,7 +190,7 @@ class Outliner:
             for outline in outlines
             if outline.area >= _MIN_OUTLINE
         ]
-        return self._stopped.completed(found, expected, looked_at, image, tilt, stamp)
+        return self._stopped.completed(found, expected, measured, image, tilt, stamp)
 
     def remember(
         self, index: int, moving: Moving, observations: Sequence[Observation], stamp: int
@@ -223,7 +227,7 @@ class Outliner:
                 return []
             to_outlook = resolution.to_detail(self._window.transform(index, outlook.index))
             past = outlook.past.seen_from(to_outlook)
-            return standing_areas(self._window[index].detail, past, looked_at)
+            return standing_areas(self._window[index].scene, past, looked_at)
 
     def _aligned_frames(self, index: int, moving: Moving) -> list[AlignedFrame]:
         """Return the frames that show the scene at other times, as seen from this one.
@@ -303,6 +307,31 @@ def _in_scene(
 def _of_known(outlines: Sequence[CroppedMask], expected: Mask) -> list[CroppedMask]:
     """Return the outlines that lie mostly where known objects should be."""
     return [seen for seen in outlines if seen.intersection_area(expected) > _KNOWN * seen.area]
+
+
+def _apart_or_whole(
+    areas: Sequence[MovingArea], expected: Sequence[CroppedMask], shape: tuple[int, int]
+) -> list[MovingArea]:
+    """Return the areas that lie apart from where known objects should be, or show one whole.
+
+    What stands out beside one is what it has left, which hasn't been seen for long; and of one
+    that rests, parts are soon like its past.
+    """
+    masks = [area.search_mask for area in areas]
+    frames = [mask.in_frame(shape) for mask in masks]
+    beside = union_mask([each.dilated(_BESIDE, shape) for each in expected], shape)
+    return [
+        area
+        for area, mask, frame in zip(areas, masks, frames, strict=True)
+        if not mask.intersection_area(beside)
+        or any(_shows_whole(each, mask, frame) for each in expected)
+    ]
+
+
+def _shows_whole(expected: CroppedMask, mask: CroppedMask, frame: Mask) -> bool:
+    """Whether a mask, HxW in its `frame`, is nearly all of an object and not much more."""
+    common = expected.intersection_area(frame)
+    return common > max(_KNOWN * mask.area, _WHOLE * expected.area)
 
 
 def _resting_areas(expected: Sequence[CroppedMask], moving: Mask) -> list[MovingArea]:

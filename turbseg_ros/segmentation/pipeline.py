@@ -152,14 +152,14 @@ class Pipeline:
         with self._observer.stage("motion map"):
             overlay = self._scene.overlay(neighbourhood, aligned)
             valid = neighbourhood.valid(overlay)
-            evidence = PictureEvidence(neighbourhood.grey, aligned, flows)
-            seen = None if neighbourhood.camera_known else evidence.textured()
-            measure = measure_for(self._strategies.measure, seen)
+            near = {k: aligned[k] for k in aligned if abs(k) <= SHORT_BASELINE * job.interval}
+            evidence = PictureEvidence(neighbourhood.grey, near or aligned, flows)
+            known = neighbourhood.camera_known
+            seen = None if known else replace(evidence, neighbours=aligned).textured()
+            measure = measure_for(self._strategies.measure, seen, evidence.followed)
             motions = measure.motions(flows, valid, job.interval)
         # Seeds that the pictures confirm, and the regions that grow from them (eq. 3).
         with self._observer.stage("region growing"):
-            near = {k: aligned[k] for k in aligned if abs(k) <= SHORT_BASELINE * job.interval}
-            evidence = PictureEvidence(neighbourhood.grey, near or aligned, flows)
             shape = self.resolution.processing_shape
             objects = cells_of_objects(job.objects, self.resolution.detail, shape)
             motions = self._scene.with_clutter(motions, evidence.textured(), objects)

@@ -78,10 +78,11 @@ def prepare(
         grey = _resized(grey, resolution.processing)
         scene = unmasked(detail)
     with observer.stage("registration"):
+        before = CameraTrack() if previous is None else previous.camera
         found = None
         if previous is not None:
-            found = register(previous.grey, grey, voteless, previous.stands)
-        before = CameraTrack() if previous is None else previous.camera
+            stood = before.has_stood(resolution.processing)
+            found = register(previous.grey, grey, voteless, previous.stands, stood)
         camera = before if previous is None else before.after(found, resolution.processing)
         held = found is None or not found.is_supported
         from_previous = before.expected if held or found is None else found.motion

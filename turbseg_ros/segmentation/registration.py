@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from turbseg_ros.arrays import ByteImage, Mask, Matrix
+from turbseg_ros.arrays import ByteImage, Map, Mask, Matrix
 from turbseg_ros.segmentation.exposure import exposure_between
 from turbseg_ros.segmentation.geometry import (
     corner_displacement,
@@ -50,6 +50,10 @@ _CHANCE_PEAK, _MIN_CORRELATION = 30.0, 0.4
 _MIN_OVERLAP = 0.25
 # Pixels at half of the resolution by which a shift is hardly told from rest.
 _NEAR_REST = 3
+# Cells of the grid below that fit rest better than a sudden motion of a camera that stood: then it
+# stands. Cells whose texture stays, so many that it is no chance; the share of its contrast by
+# which it may change, and the least contrast, in grey values.
+_MIN_RESTING, _MIN_UNCHANGED, _UNCHANGED, _MIN_CONTRAST = 8, 4, 0.5, 3.0
 # A telephoto view neither turns over nor zooms by a tenth within one frame.
 _MAX_CHANGE_OF_SHAPE = 0.1
 # What a model must have to be believed: the largest standard error, in pixels, with which it says
@@ -65,6 +69,7 @@ _LEAST_DEVIATION, _BLUR = 0.1, 1.0
 # Cells of that grid, rows and columns. Without corners that agree, a translation is believed where
 # it makes the difference of the pictures by so much smaller in so many of them, and larger in few.
 _GRID, _BETTER, _MIN_BETTER = (6, 8), 0.8, 12
+_TO_HALF = scaling(0.5, 0.5)
 # Share of the picture from which on objects have no vote, and what has none is hidden from the
 # phase correlation, too: a few corners on smaller ones are outvoted anyway.
 _MUCH = 0.1
@@ -88,12 +93,14 @@ class Registration:
     """What takes a frame's pixels to another's, and what that was told by.
 
     `motion` is the identity where the `model` is held; `stands` tells whether so many corners say
-    that the camera stands that those of the next frame are first looked for where they were.
+    that the camera stands that those of the next frame are first looked for where they were;
+    `outvoted` that it is taken to be at rest though most of the picture moves otherwise.
     """
 
     motion: Matrix
     model: EgoMotionModel
     stands: bool = False
+    outvoted: bool = False
 
     @property
     def is_supported(self) -> bool:
@@ -125,7 +132,11 @@ def _hanning_window(size: tuple[int, int]) -> npt.NDArray[np.float32]:
 
 
 def register(
-    source: ByteImage, target: ByteImage, voteless: Mask | None = None, stands: bool = False
+    source: ByteImage,
+    target: ByteImage,
+    voteless: Mask | None = None,
+    stands: bool = False,
+    stood: bool = False,
 ) -> Registration | None:
     """Return how the camera's motion takes `source` to `target`, as far as they tell.
 
@@ -138,6 +149,9 @@ def register(
     :param voteless: hxw, coarser: what of `source` is no scene, such as objects and what is burnt
         in. Its corners aren't followed.
     :param stands: whether the camera stood in `source`; see `Registration`.
+    :param stood: whether it has stood for a while. Then what passes through much of its view,
+        however fast, is not taken for its motion, nor for another scene, while enough of the scene
+        stays where it is.
     """
     # Half of the resolution tells as well what to follow, and about where it has gone.
     half = _halved(source)
@@ -150,7 +164,8 @@ def register(
             return found
     halves = [half, _halved(target)]
     coarse, peak = phase_correlation(*_without(halves, scene))
-    if not _fits_more_of_it(halves[0], halves[1], coarse[:2, 2]):
+    # By whole pixels: what lies between is an average, which carries less noise.
+    if not _fits_more_of_it(halves, translation(*np.rint(coarse[:2, 2]))):
         coarse = np.eye(3)
     shift = 2.0 * coarse[:2, 2]
     # Lucas-Kanade takes a change of exposure for motion.
@@ -160,9 +175,11 @@ def register(
         or _by_coarse_corners(halves[0], halves[1], coarse[:2, 2], scene)
         or _by_shift(source, target, shift, scene)
     )
+    if stood and _passes_before_what_rests(halves, found.motion, scene):
+        return Registration(np.eye(3), EgoMotionModel.TRANSLATION, outvoted=True)
     by_chance = peak * np.sqrt(halves[0].size) < _CHANCE_PEAK
     if by_chance and _correlation(source, target, found.motion) < _MIN_CORRELATION:
-        return None
+        return found if stood and _much_is_unchanged(halves, scene) else None
     return found
 
 
@@ -200,23 +217,67 @@ def _without(images: Sequence[ByteImage], scene: ByteImage | None) -> Sequence[B
     return faded
 
 
-def _fits_more_of_it(source: ByteImage, target: ByteImage, shift: npt.NDArray[np.float64]) -> bool:
-    """Whether a shift fits more places of the picture than rest does.
+def _fits_more_of_it(halves: Sequence[ByteImage], motion: Matrix) -> bool:
+    """Whether a motion fits more places of the picture than rest does.
 
     Large objects that go fast through the view give a higher peak than the scene behind them.
+
+    :param halves: both pictures, HxW.
     """
-    x, y = np.rint(shift).astype(int).tolist()
-    if max(abs(x), abs(y)) < _NEAR_REST:
+    if _is_near_rest(motion, halves[0].shape):
         return True
+    moved, at_rest = _fitting_cells(halves, motion)
+    return bool(np.count_nonzero(moved) >= np.count_nonzero(at_rest))
+
+
+def _passes_before_what_rests(
+    halves: Sequence[ByteImage], motion: Matrix, scene: ByteImage | None
+) -> bool:
+    """Whether a motion of the whole resolution is that of what passes before a scene at rest.
+
+    :param scene: what may vote, HxW; None if all of it.
+    """
+    of_halves = _TO_HALF @ motion @ np.linalg.inv(_TO_HALF)
+    if _is_near_rest(of_halves, halves[0].shape):
+        return False
+    _, at_rest = _fitting_cells(halves, of_halves)
+    return bool(np.count_nonzero(at_rest & _voting_cells(scene)) >= _MIN_RESTING)
+
+
+def _much_is_unchanged(halves: Sequence[ByteImage], scene: ByteImage | None) -> bool:
+    """Whether texture stays what it was in more places than chance would have it."""
+    source, target = halves
+    contrast, difference = (
+        _in_cells(cv2.absdiff(source, each)) for each in (cv2.blur(source, _LK_WINDOW), target)
+    )
+    unchanged = (contrast > _MIN_CONTRAST) & (difference < _UNCHANGED * contrast)
+    return bool(np.count_nonzero(unchanged & _voting_cells(scene)) >= _MIN_UNCHANGED)
+
+
+def _is_near_rest(motion: Matrix, shape: tuple[int, ...]) -> bool:
+    """Whether a motion takes no corner of a picture of some shape further than is told apart."""
+    return corner_displacement(motion, (shape[1], shape[0])) < _NEAR_REST
+
+
+def _fitting_cells(halves: Sequence[ByteImage], motion: Matrix) -> tuple[Mask, Mask]:
+    """Return in which cells of the grid a motion fits better than rest, and rest than it."""
+    source, target = halves
     shifted = cv2.warpAffine(
-        source, translation(x, y)[:2], source.shape[::-1], borderMode=cv2.BORDER_REPLICATE
+        source, motion[:2], source.shape[::-1], borderMode=cv2.BORDER_REPLICATE
     )
-    moved, at_rest = (
-        cv2.resize(cv2.absdiff(each, target), _GRID[::-1], interpolation=cv2.INTER_AREA) + 1.0
-        for each in (shifted, source)
-    )
-    more = np.count_nonzero(moved < _BETTER * at_rest)
-    return bool(more >= np.count_nonzero(at_rest < _BETTER * moved))
+    moved, at_rest = (_in_cells(cv2.absdiff(each, target)) + 1.0 for each in (shifted, source))
+    return moved < _BETTER * at_rest, at_rest < _BETTER * moved
+
+
+def _in_cells(values: ByteImage) -> Map:
+    """Return the mean of a picture over each cell of the grid, in whole grey values."""
+    means = cv2.resize(values, _GRID[::-1], interpolation=cv2.INTER_AREA)
+    return means.astype(np.float32)
+
+
+def _voting_cells(scene: ByteImage | None) -> Mask:
+    """Return which cells of the grid are mostly scene, as 1 or 0 in a picture tells, HxW."""
+    return np.ones(_GRID, bool) if scene is None else _in_cells(scene) > 0
 
 
 def _corners(half: ByteImage, scene: ByteImage | None) -> Points:

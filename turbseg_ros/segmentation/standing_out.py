@@ -19,12 +19,14 @@ import numpy.typing as npt
 
 from turbseg_ros.arrays import ByteImage, Mask, Matrix
 from turbseg_ros.segmentation.areas import MovingArea
-from turbseg_ros.segmentation.background import AlignedFrame, calm_background_in
+from turbseg_ros.segmentation.background import AlignedFrame, MaskedImage, calm_background_in
 from turbseg_ros.segmentation.cropped_mask import EMPTY_MASK, Box, CroppedMask
-from turbseg_ros.segmentation.geometry import scaling
+from turbseg_ros.segmentation.geometry import corner_displacement, scaling
 
 # Pixels of the reduced size at which frames are compared, and the views that are.
 _PIXELS, _VIEWS = 20000, 8
+# Widths of the picture by which a view may lie aside.
+_NEAR = 0.05
 # Fewer views than that make no past.
 _MIN_VIEWS = 5
 # Grey values that a mean over a pixel of the reduced size may be off by.
@@ -101,6 +103,7 @@ def past_in(views: Sequence[AlignedFrame], frame: tuple[int, int], tilt: float) 
     :param frame: its width and height.
     :param tilt: rms turbulent motion an axis in pixels.
     """
+    views = [view for view in views if _is_near(view, frame)]
     if len(views) < _MIN_VIEWS:
         return None
     width, height = frame
@@ -121,17 +124,25 @@ def past_in(views: Sequence[AlignedFrame], frame: tuple[int, int], tilt: float) 
     return Past(frame, median, lowest, highest, level)
 
 
-def standing_areas(image: ByteImage, past: Past, looked_at: Mask) -> list[MovingArea]:
+def _is_near(view: AlignedFrame, frame: tuple[int, int]) -> bool:
+    """Whether a view is from nearly the same place as a frame, of some width and height.
+
+    What lies nearer than the scene would stand out from the others.
+    """
+    return corner_displacement(view.to_image, frame) < _NEAR * frame[0]
+
+
+def standing_areas(scene: MaskedImage, past: Past, looked_at: Mask) -> list[MovingArea]:
     """Return where a frame stands out from its past, at detail resolution.
 
     Nothing is known of what is there but that: its velocity is 0, no part is probably an object.
 
-    :param image: HxWxC, the frame.
+    :param scene: the frame; what hides it counts as well.
     :param past: as this frame sees it.
     :param looked_at: HxW, where objects are looked for anyway.
     """
     reduced = past.shape[::-1]
-    small = cv2.resize(image, reduced, interpolation=cv2.INTER_AREA).reshape(past.median.shape)
+    small = np.ascontiguousarray(_shrunk(scene.image, reduced)[..., :-1])
     elsewhere = cv2.resize(looked_at.view(np.uint8), reduced, interpolation=cv2.INTER_NEAREST)
     return [
         MovingArea(
@@ -143,6 +154,17 @@ def standing_areas(image: ByteImage, past: Past, looked_at: Mask) -> list[Moving
         for blob in _blobs(*_standing_out(small, past), elsewhere > 0)
         if not _is_scene_aside(small, past, blob.box)
     ]
+
+
+def _shrunk(image: ByteImage, size: tuple[int, int]) -> ByteImage:
+    """Return an image at a smaller size (width, height).
+
+    OpenCV halves pictures many times as fast as it averages over fractions of pixels.
+    """
+    while min(image.shape[1] / size[0], image.shape[0] / size[1]) >= 2.0:
+        half = (image.shape[1] // 2, image.shape[0] // 2)
+        image = cv2.resize(image, half, interpolation=cv2.INTER_AREA)
+    return cv2.resize(image, size, interpolation=cv2.INTER_AREA)
 
 
 def _standing_out(image: ByteImage, past: Past) -> tuple[Mask, Mask]:

@@ -27,6 +27,10 @@ _MIN_DISPLACEMENT_RATIO = 0.25
 _DISPLACEMENT_SPAN = 24
 # Share of an object that must be seen beside others for its place to be told by that.
 _MIN_VISIBLE = 0.2
+# Frames in which what stands out, and no flow shows to move, covers its own size if it goes on.
+_SOON = 48
+# Sightings that tell how fast that is.
+_RECENT = 5
 _UNKNOWN_SPEED = 0.1
 _SURPRISING = 2.0
 # A change of velocity by one pixel a frame, as the filter's uncertainty a frame later has it.
@@ -248,7 +252,14 @@ class Track:
         self.hits += 1
         speed = float(np.hypot(*detection.velocity))
         self.flow_speeds = [*self.flow_speeds, speed][-_TRAIL_LENGTH:]
-        self.still = 0 if detection.moving or self.stands else self.still + 1
+        goes = detection.moving and (detection.flow_known or self._covers_itself())
+        self.still = 0 if goes or self.stands else self.still + 1
+
+    def _covers_itself(self) -> bool:
+        """Whether it goes so fast that it has soon left its place, or may have."""
+        recent = self.sightings[-_RECENT:]
+        way = float(np.linalg.norm(recent[-1] - recent[0]))
+        return way * _SOON >= self.size * (len(recent) - 1)
 
     def coast(self, ego_motion: Matrix, shape: tuple[int, int]) -> Detection:
         """Take it into the next frame, where nobody looks for it; return where it is.
