@@ -24,7 +24,6 @@ from support.drawn_clip import (
 from support.drawn_scene import ByteImage, jaccard, texture
 from support.segmenters import segmenter_by_rules
 from turbseg_ros.parameters import Parameters, Value
-from turbseg_ros.segmentation import motion_schedule
 from turbseg_ros.segmentation.frame import SegmentationResult
 from turbseg_ros.segmentation.motion_segmenter import MotionSegmenter
 
@@ -142,9 +141,7 @@ def test_what_is_left_coasts_while_frames_wait() -> None:
     assert len(ids(results)) == 1
 
 
-def test_to_coast_or_not_is_chosen_frame_by_frame(monkeypatch: pytest.MonkeyPatch) -> None:
-    # So that motion is measured in turn also where all that moves is known.
-    monkeypatch.setattr(motion_schedule, "SPARSE", 1)
+def test_to_coast_or_not_is_chosen_frame_by_frame() -> None:
     segmenter = segmenter_by_rules(PARAMETERS.replace({"latency.warm_up": 0}))
     results = []
     for number, frame in enumerate(frames(CLIP)):

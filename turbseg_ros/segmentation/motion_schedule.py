@@ -9,19 +9,16 @@ from turbseg_ros.arrays import Mask
 from turbseg_ros.parameters import FlowParameters, Parameters
 from turbseg_ros.segmentation.average import LONG_BASELINE
 from turbseg_ros.segmentation.cropped_mask import CroppedMask
-from turbseg_ros.segmentation.load import Load
 from turbseg_ros.segmentation.look_ahead import LookAhead
 from turbseg_ros.segmentation.motion import MotionMeasure, next_interval
 from turbseg_ros.segmentation.motion_worker import MotionJob, MotionWorker
 from turbseg_ros.segmentation.moving import Moving, propagated
 from turbseg_ros.segmentation.observer import StageObserver
 from turbseg_ros.segmentation.resolution import Resolution
-from turbseg_ros.segmentation.track import Observation
 from turbseg_ros.segmentation.window import FrameWindow
 
 SPARSE = 2
-"""Periods from one measurement to the next while very many frames wait, and while all that was
-found to move is known objects."""
+"""Periods of measuring motion from one time to the next while very many frames wait."""
 # Periods for which nothing must have been cut out for it to be said that nothing is there.
 _CALM = 2
 
@@ -62,40 +59,31 @@ class MotionSchedule:
         self._submitted = -1
         self._objects_in = objects_in
         self._last: Moving | None = None
-        # Whether what was found to move last belongs to what was cut out, and that to objects that
-        # are known.
-        self._explained, self._settled = False, False
         # Frames in a row in which nothing was cut out.
         self._empty_for = 0
 
-    def what_moves(self, index: int, load: Load) -> Moving | None:
+    def what_moves(self, index: int, sparse: bool) -> Moving | None:
         """Return what moves in the next frame, and have the next measurement begun.
 
         None where there is nothing to compare the frame with.
 
-        :param load: tells whether motion is to be measured more seldom from here on.
+        :param sparse: whether motion is to be measured more seldom from here on.
         """
         moving = self._what_moves(index)
         if moving is not None and moving.measured:
             self._interval = next_interval(self._interval, self._widest, moving.motion.disorder)
         self._last = moving
-        self._measure_ahead(index, load)
+        self._measure_ahead(index, sparse)
         return moving
 
-    def keep_where(self, objects: Mask, observations: Sequence[Observation]) -> None:
+    def keep_where(self, objects: Mask) -> None:
         """Propagate only what holds one of the objects, HxW at detail resolution.
 
         Where nothing is cut out now, nothing will be until motion is measured again.
-
-        :param observations: those objects, and what may become one.
         """
         self._empty_for = 0 if objects.any() else self._empty_for + 1
         if self._last is not None:
-            before, self._last = self._last, self._last.where(objects)
-            if before.measured:
-                self._explained = len(before.areas) == len(self._last.areas)
-        confirmed = [seen.track.confirmed for seen in observations]
-        self._settled = self._explained and bool(confirmed) and all(confirmed)
+            self._last = self._last.where(objects)
 
     def _what_moves(self, index: int) -> Moving | None:
         if not self._window.shows_scene(index):
@@ -144,10 +132,8 @@ class MotionSchedule:
         with self._observer.stage("propagation"):
             return propagated(moving, ego_motion, self._resolution, target - source)
 
-    def _measure_ahead(self, index: int, load: Load) -> None:
+    def _measure_ahead(self, index: int, sparse: bool) -> None:
         """Have motion measured in the next frame that is due, while outlines are drawn."""
-        # What coasts is outlined only where motion is measured.
-        sparse = load.sparse_motion or (self._settled and not load.coasts)
         if self._due <= min(self._submitted, index):
             step = self._every * (SPARSE if sparse else 1)
             self._due = index // self._every * self._every + step

@@ -98,7 +98,7 @@ class Pipeline:
         ego_motion = resolution.to_detail(self.window[index].from_previous)
 
         # What moves here, measured (see `measure_motion`) or propagated: eq. 1 to 3.
-        moving = self._schedule.what_moves(index, load)
+        moving = self._schedule.what_moves(index, load.sparse_motion)
         if moving is None:
             tracker.update([], ego_motion, 0.0, self.window[index].detail)
             self._tracked = index
@@ -132,7 +132,7 @@ class Pipeline:
         # What is an object is no background, and only where one is does motion go on.
         masks = [seen.detection.outline.dilated(GUARD, shape) for seen in observations]
         self.window.mark_objects(index, [*masks, *overlays])
-        self._schedule.keep_where(union_mask(masks, shape), observations)
+        self._schedule.keep_where(union_mask(masks, shape))
         return PendingResult(
             frame, resolution, camera, moving.motion, observations, coasted, self._regions
         )
