@@ -382,6 +382,21 @@ def test_a_pause_is_told_once_after_all_results(harness):
     assert wait_for_pauses(harness, 2) == [5, 10]
 
 
+def test_frames_that_took_long_are_no_pause(harness, monkeypatch):
+    monkeypatch.setattr("turbseg_ros.nodes.worker._GRACE", TIMEOUT)
+    harness.segmenter.gate.clear()
+    harness.submit(PERIOD)
+    time.sleep(harness.worker.pause_timeout + 0.1)
+    harness.segmenter.gate.set()
+    # The next image is still on its way.
+    time.sleep(0.2)
+    assert harness.pauses == []
+    harness.submit(2 * PERIOD)
+    harness.settle()
+    harness.worker.stop()
+    assert harness.answered == [PERIOD, 2 * PERIOD]
+
+
 def test_a_stream_that_is_said_to_end_pauses_once_what_waits_is_answered():
     harness = Harness()
     harness.segmenter.gate.clear()

@@ -21,6 +21,8 @@ from turbseg_ros.throttle import ThrottledLogger
 _SECOND = 1e9
 # Seconds that the last frames may take when the node stops; ros2 launch kills it after ten.
 _STOP_TIMEOUT = 8.0
+# Seconds in which images that wait in the middleware are taken while nothing is segmented.
+_GRACE = 0.25
 
 
 class LiveSegmenter(Protocol):
@@ -231,7 +233,8 @@ class SegmentationWorker:
         if not self._more_to_come:
             return 0.0
         silence = (time.monotonic_ns() - self._last_arrival) / _SECOND
-        return max(self._monitor.pause_timeout - silence, 0.0)
+        # On a busy machine the thread that takes images may have had no chance to.
+        return max(self._monitor.pause_timeout - silence, _GRACE)
 
     def _segment(self, arrival: Arrival) -> None:
         try:
