@@ -198,7 +198,7 @@ def tab(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Iterator[brow
 EVERYTHING_SHOWN = (
     "state.bitmap !== null && state.points.length > 1 && "
     "document.querySelectorAll('#rows tr').length > 0 && "
-    "document.querySelectorAll('.parameter').length > 0"
+    "document.querySelectorAll('.parameter').length > 0 && !$('camera').hidden"
 )
 
 

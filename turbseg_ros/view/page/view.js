@@ -85,7 +85,7 @@ const HANDLERS = {
     $("message").textContent = (message.there ? message.message : "") + others;
     const camera = message.figures.camera;
     $("camera").hidden = !camera;
-    $("camera").textContent = `camera ${camera}`;
+    $("camera").textContent = camera ? `camera ${camera}` : "";
     showObjects(message.objects);
     $("figures").replaceChildren(...Object.entries(message.figures).map(([key, value]) =>
       element("div", {}, element("dt", { textContent: key }), element("dd", { textContent: value }))));
