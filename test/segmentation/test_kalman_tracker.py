@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any
@@ -682,8 +683,9 @@ def test_whatever_is_seen_ids_and_slots_are_unique(seed: int) -> None:
         for track in live:
             tracks.append(track)
             assert ids_of.setdefault(id(track), track.id) == track.id
-    known = {id(track): track.id for track in tracks}
-    assert sorted(known.values()) == sorted(set(known.values()))
+    # What was lost may have given its id to what appeared anew, and is not seen again then.
+    turns = [track for track, _ in itertools.groupby(sorted(tracks, key=lambda each: each.id))]
+    assert len(turns) == len({id(track) for track in tracks})
 
 
 # Not a single one, see below.
