@@ -30,11 +30,16 @@ def probe() -> Iterator[Probe]:
         yield probe
 
 
+def record_command(out: Path, post_roll: int) -> list[str]:
+    """Return what records before and after objects of the test's own node, to a folder."""
+    command = [sys.executable, "-m", "turbseg_ros.cli", "record", "-o", str(out)]
+    return [*command, "--node", "/probe", "--pre-roll", "600", "--post-roll", str(post_roll)]
+
+
 def test_a_bag_begins_before_an_object_and_ends_after_it(tmp_path: Path, probe: Probe) -> None:
     # The test's own node stands for the one that segments.
     out = tmp_path / "out"
-    command = [sys.executable, "-m", "turbseg_ros.cli", "record", "-o", str(out)]
-    command += ["--node", "/probe", "--pre-roll", "600", "--post-roll", "1"]
+    command = record_command(out, post_roll=1)
     centroids = probe.advertise("/probe/centroids", MarkerArray, heard=False)
     with NodeProcess(tmp_path / "log", command=command) as recorder:
         camera = Camera(probe, "/lens/image_raw", rate=30.0, heard=False)
@@ -71,8 +76,7 @@ def test_a_camera_that_comes_after_the_recorder_is_recorded_from_its_first_image
     tmp_path: Path, probe: Probe
 ) -> None:
     out = tmp_path / "out"
-    command = [sys.executable, "-m", "turbseg_ros.cli", "record", "-o", str(out)]
-    command += ["--node", "/probe", "--pre-roll", "600", "--post-roll", "600"]
+    command = record_command(out, post_roll=600)
     # What the node listens to, though nothing is there yet.
     probe.node.create_subscription(Image, "/lens/image_raw", lambda _: None, RELIABLE)
     with NodeProcess(tmp_path / "log", command=command) as recorder:
@@ -100,8 +104,7 @@ def test_a_camera_that_offers_less_than_the_node_asks_for_is_recorded_all_the_sa
     tmp_path: Path, probe: Probe
 ) -> None:
     out = tmp_path / "out"
-    command = [sys.executable, "-m", "turbseg_ros.cli", "record", "-o", str(out)]
-    command += ["--node", "/probe", "--pre-roll", "600", "--post-roll", "600"]
+    command = record_command(out, post_roll=600)
     probe.node.create_subscription(Image, "/lens/image_raw", lambda _: None, RELIABLE)
     centroids = probe.advertise("/probe/centroids", MarkerArray, heard=False)
     with NodeProcess(tmp_path / "log", command=command) as recorder:

@@ -115,8 +115,21 @@ class CroppedMask:
 
     def shares_pixels(self, other: CroppedMask) -> bool:
         """Whether two masks of one frame have a pixel in common."""
+        return self.common_area(other) > 0
+
+    def common_area(self, other: CroppedMask) -> int:
+        """Count the pixels that two masks of one frame have in common."""
         common = self.box.intersection(other.box)
-        return common is not None and bool((self.within(common) & other.within(common)).any())
+        if common is None:
+            return 0
+        here = self.mask[common.moved(-self.box.x0, -self.box.y0).slices]
+        there = other.mask[common.moved(-other.box.x0, -other.box.y0).slices]
+        return int(np.count_nonzero(here & there))
+
+    def iou(self, other: CroppedMask) -> float:
+        """Return the intersection over union of two masks of one frame, 0 of empty ones."""
+        common = self.common_area(other)
+        return common / max(self.area + other.area - common, 1)
 
     def dilated(self, radius: int, shape: tuple[int, int]) -> CroppedMask:
         """Return it with some pixels more all round, within a frame of some shape."""

@@ -492,8 +492,8 @@ def _looks_like(track: Track, other: Track) -> bool:
 
 
 def _has_claim(expected: CroppedMask, detection: Detection) -> bool:
-    common = np.count_nonzero(expected.within(detection.box) & detection.mask)
-    return bool(common > _CLAIM * min(expected.area, detection.area))
+    common = expected.common_area(detection.outline)
+    return common > _CLAIM * min(expected.area, detection.area)
 
 
 def _cost(track: Track, detection: Detection, tilt: float) -> float:

@@ -48,13 +48,6 @@ class MotionWorker:
         self._executor = executor
         self._jobs: dict[int, Future[Moving | None]] = {}
 
-    def __contains__(self, index: int) -> bool:
-        return index in self._jobs
-
-    def __len__(self) -> int:
-        """How many jobs are not taken."""
-        return len(self._jobs)
-
     def submit(self, job: MotionJob) -> None:
         """Have a job done; jobs come in the order of their frames."""
         self._jobs[job.index] = self._executor.submit(self._measure, job)

@@ -351,13 +351,13 @@ def _by_coarse_corners(
     """
     source = exposure_between(source, target, translation(*-shift)).applied_to(source, channels=1)
     for size in _COARSE:
-        smaller, target_smaller = _halved(source), _halved(target)
+        smaller = _halved(source)
         scene_smaller = None if scene is None else np.ascontiguousarray(scene[1::2, 1::2])
         found = _by_corners(source, target, _corners(smaller, scene_smaller), shift)
         if found is not None:
             scale = scaling(size, size)
             return Registration(scale @ found.motion @ np.linalg.inv(scale), found.model)
-        source, target, scene, shift = smaller, target_smaller, scene_smaller, shift / 2.0
+        source, target, scene, shift = smaller, _halved(target), scene_smaller, shift / 2.0
     return None
 
 

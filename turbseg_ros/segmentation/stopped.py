@@ -89,7 +89,7 @@ class _Surroundings:
         :param others: the detections that are no part of it.
         """
         around = outline.dilated(_NEAR, (self.moving.shape[0], self.moving.shape[1]))
-        near = [each for each in self.known if _iou(each, outline) < _SAME_OBJECT]
+        near = [each for each in self.known if each.iou(outline) < _SAME_OBJECT]
         near += [each.outline for each in others if self.moves(each)]
         return not any(around.shares_pixels(each) for each in near)
 
@@ -205,7 +205,7 @@ class StoppedObjects:
         parts, others = _parted(there.detections, expected)
         stands = track.id if stopped.rested else 0
         drawn = replace(joined(parts), stands=stands) if parts else None
-        likeness = 0.0 if drawn is None else _iou(drawn.outline, expected)
+        likeness = 0.0 if drawn is None else drawn.outline.iou(expected)
         absorbed = there.stamp - stopped.since >= self._limit * 1e9
         if drawn is not None and there.is_alone(expected, others):
             changed = there.moves(drawn) and sight is Sight.OBJECT
@@ -265,7 +265,7 @@ def _parted(
     detections: Sequence[Detection], place: CroppedMask
 ) -> tuple[list[Detection], list[Detection]]:
     """Return the detections that lie mostly in a place, and the others."""
-    inside = [_common(each.outline, place) > _PART * each.area for each in detections]
+    inside = [each.outline.common_area(place) > _PART * each.area for each in detections]
     parts = [each for each, here in zip(detections, inside, strict=True) if here]
     return parts, [each for each, here in zip(detections, inside, strict=True) if not here]
 
@@ -273,12 +273,3 @@ def _parted(
 def _without(outline: CroppedMask, taken: Mask) -> CroppedMask:
     box = outline.box
     return CroppedMask.of(outline.mask & ~taken[box.slices], box.x0, box.y0)
-
-
-def _iou(one: CroppedMask, other: CroppedMask) -> float:
-    common = _common(one, other)
-    return common / max(one.area + other.area - common, 1)
-
-
-def _common(one: CroppedMask, other: CroppedMask) -> int:
-    return int(np.count_nonzero(one.within(other.box) & other.mask))

@@ -185,9 +185,9 @@ class Track:
         return float(vx), float(vy)
 
     @property
-    def _expected_box(self) -> Box:
+    def _expected_outline(self) -> CroppedMask:
         dx, dy = np.rint(self.position - self.seen_at).astype(int)
-        return self.detection.box.moved(int(dx), int(dy))
+        return CroppedMask(self.detection.box.moved(int(dx), int(dy)), self.detection.mask)
 
     def propagate(self, ego_motion: Matrix) -> None:
         """Take its state into the next frame: by the ego-motion, then by its velocity."""
@@ -278,18 +278,11 @@ class Track:
 
     def intersection_area(self, detection: Detection) -> int:
         """Count the detection's pixels that lie where its mask is expected now."""
-        expected, found = self._expected_box, detection.box
-        common = expected.intersection(found)
-        if common is None:
-            return 0
-        there = self.detection.mask[common.moved(-expected.x0, -expected.y0).slices]
-        here = detection.mask[common.moved(-found.x0, -found.y0).slices]
-        return int(np.count_nonzero(there & here))
+        return self._expected_outline.common_area(detection.outline)
 
     def shape_iou(self, detection: Detection) -> float:
         """Return the IoU of a detection with its mask where that is expected now."""
-        common = self.intersection_area(detection)
-        return common / max(self.detection.area + detection.area - common, 1)
+        return self._expected_outline.iou(detection.outline)
 
     @property
     def deviation(self) -> float:
