@@ -13,6 +13,7 @@ from turbseg_ros.parameters import DiagnosticsParameters
 from turbseg_ros.segmentation.camera_state import CameraState
 from turbseg_ros.segmentation.condition import Condition
 from turbseg_ros.segmentation.frame import Frame, SegmentationResult
+from turbseg_ros.segmentation.load import ANSWERED_STEPS, Step
 
 RESULT = SegmentationResult(
     Frame(0, np.zeros((4, 4), np.uint8), "lens"),
@@ -83,6 +84,49 @@ def test_tells_how_many_were_answered_coasting(statistics, clock):
     assert (message.level, message.message) == (OK, "2 images answered by coasting")
     assert figures(message)["images answered by coasting"] == "2"
     assert figures(message)["images answered"] == "23"
+
+
+def test_tells_the_load_step_of_the_period_and_how_many_were_answered_at_each(statistics, clock):
+    run_for_a_second(statistics, clock)
+    calm = figures(status(statistics.take()))
+    assert calm["load step"] == "full"
+    for step in (Step.COASTING, Step.SPARSE_MOTION, Step.COASTING):
+        statistics.answered(replace(RESULT, step=step), since_stamp=0.2, since_arrival=0.1)
+    shown = figures(status(statistics.take()))
+    assert shown["load step"] == "sparse motion"
+    assert [shown[f"images answered at step {step.label}"] for step in ANSWERED_STEPS] == [
+        "20",
+        "2",
+        "1",
+    ]
+    nothing_since = figures(status(statistics.take()))
+    assert nothing_since["load step"] == "full"
+    assert nothing_since["images answered at step coasting"] == "2"
+
+
+def test_while_images_are_dropped_that_is_the_load_step(statistics, clock):
+    run_for_a_second(statistics, clock)
+    statistics.count(Event.DROPPED)
+    assert figures(status(statistics.take()))["load step"] == "dropping"
+
+
+@pytest.mark.parametrize(
+    ("step", "told"),
+    [
+        (Step.FULL, f"{Step.FULL.j:.2f}"),
+        (Step.COASTING, f"{Step.COASTING.j:.2f} instead of {Step.FULL.j:.2f}"),
+        (Step.SPARSE_MOTION, f"{Step.SPARSE_MOTION.j:.2f} instead of {Step.FULL.j:.2f}"),
+    ],
+)
+def test_the_accuracy_of_the_load_step_is_that_of_what_is_answered(statistics, step, told):
+    def shown(dropped):
+        statistics.answered(replace(RESULT, step=step), since_stamp=0.2, since_arrival=0.1)
+        statistics.count(Event.DROPPED, dropped)
+        return figures(status(statistics.take()))["J of the load step"]
+
+    where = "(the evaluation's scenes, default parameters)"
+    assert shown(dropped=0) == f"{told} {where}"
+    assert shown(dropped=2) == f"{told}, no masks of dropped images {where}"
 
 
 def test_tells_of_frames_that_were_passed_over(statistics, clock):

@@ -123,6 +123,7 @@ def test_too_many_images_cost_the_oldest_and_no_memory(tmp_path, probe, seconds)
     assert answered == sorted(set(answered) & set(stamps))
     assert counts["images answered"] == len(answered)
     assert counts["images dropped"] > 0
+    assert "dropping" in {figures([array]).get("load step") for array in diagnostics}
     never_received = counts["images lost by the middleware"]
     assert counts["images received"] + never_received == frames
     assert counts["images dropped"] == frames - never_received - len(answered)

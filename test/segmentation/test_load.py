@@ -9,11 +9,12 @@ import pytest
 
 from support.drawn_clip import PARAMETERS, frames
 from support.drawn_scene import DrawnScene
+from support.paths import ROOT
 from support.segmenters import segmenter_by_rules
 from turbseg_ros.factory import motion_segmenter
 from turbseg_ros.parameters import Parameters
 from turbseg_ros.segmentation.frame import SegmentationResult
-from turbseg_ros.segmentation.load import Load
+from turbseg_ros.segmentation.load import ANSWERED_STEPS, Load, Step
 from turbseg_ros.segmentation.moving import Moving
 from turbseg_ros.segmentation.observer import StageObserver
 
@@ -105,6 +106,43 @@ def test_a_machine_that_is_too_slow_coasts_and_drops_nothing() -> None:
     # What has piled up is worked off meanwhile.
     with segmenter_by_rules(PARAMETERS) as segmenter:
         assert max(run.unanswered[-10:]) <= segmenter.look_ahead + 1
+
+
+def test_the_ladder_is_climbed_in_its_order_as_more_frames_wait() -> None:
+    steps = [Load.of(waiting, PARAMETERS).step for waiting in range(QUEUE)]
+    assert steps == sorted(steps)
+    assert list(dict.fromkeys(steps)) == list(ANSWERED_STEPS)
+    assert [steps.index(step) for step in ANSWERED_STEPS] == [
+        0,
+        PARAMETERS.latency.coast_from,
+        PARAMETERS.latency.sparse_from,
+    ]
+
+
+def test_the_steps_of_the_ladder_have_names_and_cost_more_and_more() -> None:
+    assert [step.label for step in Step] == ["full", "coasting", "sparse motion", "dropping"]
+    assert [step for step in Step if step.j is None] == [Step.DROPPING]
+    reached = [step.j for step in ANSWERED_STEPS if step.j is not None]
+    assert reached == sorted(reached, reverse=True)
+
+
+def test_the_documents_have_the_ladder_with_its_accuracy() -> None:
+    rows = [
+        [cell.strip() for cell in line.split("|")[1:-1]]
+        for line in (ROOT / "docs" / "behaviour.md").read_text().splitlines()
+    ]
+    steps = {row[0].strip("`"): row for row in rows if row}
+    for step in Step:
+        told = steps[step.label][3].split(";")[0]
+        assert told == ("no masks" if step.j is None else f"{step.j:.2f}")
+
+
+def test_each_result_tells_the_step_that_it_was_segmented_at() -> None:
+    calm = live(Machine(outlined=0.5, coasted=0.3))
+    assert {result.step for result in calm.results} == {Step.FULL}
+    busy = live(Machine(outlined=1.3, coasted=0.4, first=3.0))
+    assert {result.step for result in busy.results if result.coasted} <= {*Step} - {Step.FULL}
+    assert Step.COASTING in {result.step for result in busy.results}
 
 
 def test_a_queue_that_hardly_holds_anything_has_no_patience() -> None:

@@ -18,6 +18,7 @@ from turbseg_ros.messages.diagnostics import figures, remarks, status_name
 from turbseg_ros.parameters import DiagnosticsParameters
 from turbseg_ros.segmentation.condition import Condition
 from turbseg_ros.segmentation.frame import SegmentationResult
+from turbseg_ros.segmentation.load import ANSWERED_STEPS, Step
 
 # Failures this long ago, in seconds, tell that a new one is no single accident.
 _FAILURE_MEMORY = 10.0
@@ -55,7 +56,8 @@ _EVENT_OF = {
 class Report:
     """What happened in a period; times in seconds.
 
-    `events` counts the period, `totals` the whole run. The latencies are of the frames answered
+    `events` counts the period, `totals` the whole run, and so do `steps` and `step_totals` the
+    frames answered at each step of the load's ladder. The latencies are of the frames answered
     in the period. `failures` is how often segmenting failed lately, however many frames each of
     them cost. `silence` is the time since the last image, or since the start while there was
     none. `last` is the newest result, None while there is none.
@@ -69,6 +71,18 @@ class Report:
     failures: int
     silence: float
     last: SegmentationResult | None
+    steps: Counter[Step]
+    step_totals: Counter[Step]
+
+    @property
+    def answered_at(self) -> Step:
+        """The furthest step at which a frame was answered in the period."""
+        return max(self.steps, default=Step.FULL)
+
+    @property
+    def step(self) -> Step:
+        """The furthest step that was taken in the period."""
+        return Step.DROPPING if self.events[Event.DROPPED] else self.answered_at
 
     def rate(self, event: Event) -> float:
         """How often something happened, in Hz."""
@@ -82,6 +96,7 @@ class Statistics:
         self._clock = clock
         self._lock = threading.Lock()
         self._totals: Counter[Event] = Counter()
+        self._step_totals: Counter[Step] = Counter()
         self._last: SegmentationResult | None = None
         self._last_image = clock()
         self._failure_times: deque[float] = deque()
@@ -101,6 +116,8 @@ class Statistics:
             self._count(Event.COASTED, int(result.coasted))
             if result.condition in _EVENT_OF:
                 self._count(_EVENT_OF[result.condition], 1)
+            self._steps[result.step] += 1
+            self._step_totals[result.step] += 1
             self._last = result
             self._from_stamp.append(since_stamp)
             self._from_arrival.append(since_arrival)
@@ -131,6 +148,8 @@ class Statistics:
                 failures=len(self._failure_times),
                 silence=now - self._last_image,
                 last=self._last,
+                steps=self._steps,
+                step_totals=Counter(self._step_totals),
             )
             self._begin_period()
         return report
@@ -144,6 +163,7 @@ class Statistics:
     def _begin_period(self) -> None:
         self._began = self._clock()
         self._events: Counter[Event] = Counter()
+        self._steps: Counter[Step] = Counter()
         self._from_stamp: list[float] = []
         self._from_arrival: list[float] = []
 
@@ -261,6 +281,14 @@ def _relative_tilt(result: SegmentationResult) -> float:
     return 100.0 * result.tilt / result.frame.image.shape[1]
 
 
+def _accuracy(report: Report) -> str:
+    """Return what the load's step costs, in words; no measurement of what is seen now."""
+    full, reached = Step.FULL.j, report.answered_at.j
+    told = f"{full:.2f}" if reached == full else f"{reached:.2f} instead of {full:.2f}"
+    dropped = ", no masks of dropped images" if report.step is Step.DROPPING else ""
+    return f"{told}{dropped} (the evaluation's scenes, default parameters)"
+
+
 def _figures(report: Report, state: NodeState) -> Iterator[tuple[str, str]]:
     yield "input topic", state.topic
     yield "input publishers", str(state.publishers)
@@ -280,5 +308,9 @@ def _figures(report: Report, state: NodeState) -> Iterator[tuple[str, str]]:
     yield "images waiting", str(state.waiting)
     for event in Event:
         yield f"images {event.value}", str(report.totals[event])
+    yield "load step", report.step.label
+    yield "J of the load step", _accuracy(report)
+    for step in ANSWERED_STEPS:
+        yield f"images answered at step {step.label}", str(report.step_totals[step])
     if report.last:
         yield from figures(report.last)

@@ -12,6 +12,7 @@ import numpy as np
 from turbseg_ros.arrays import Image, Labels, Map, Mask
 from turbseg_ros.segmentation.camera_state import CameraState
 from turbseg_ros.segmentation.condition import Condition
+from turbseg_ros.segmentation.load import Step
 from turbseg_ros.segmentation.marked_regions import FittedRegions
 
 _MAX_LABELS = 65535
@@ -142,7 +143,8 @@ class SegmentationResult:
     `clutter` is float32, a cell for each four by four pixels at processing resolution: by how many
     pixels a frame (of the input image) a place is known to move without anything being there; None
     while nothing is known. `coasted` tells that its objects coasted under load: propagated, not
-    looked for. `regions` is what its user marked in the picture, None where that is not known.
+    looked for, and `step` what was given up under load by then. `regions` is what its user marked
+    in the picture, None where that is not known.
     `condition` tells what the frame was like: one that is damaged, blind or repeated
     is answered with what was known before it, and has no say in other frames' results.
     """
@@ -158,6 +160,7 @@ class SegmentationResult:
     regions: FittedRegions | None = None
     condition: Condition = Condition.SOUND
     camera: CameraState = CameraState.STILL
+    step: Step = Step.FULL
 
     @classmethod
     def empty(cls, frame: Frame, motion_shape: tuple[int, int] = (0, 0)) -> SegmentationResult:

@@ -291,7 +291,7 @@ class _Stream:
         pending = self._pipeline.segment_frame(index, waiting.frame, load)
         self._segmented += 1
         self._unseen = 0
-        self._last = replace(pending, condition=waiting.condition)
+        self._last = replace(pending, condition=waiting.condition, step=load.step)
         self._pending.append(self._last)
 
     def _answer_passed(self) -> None:

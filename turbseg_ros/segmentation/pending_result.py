@@ -14,6 +14,7 @@ from turbseg_ros.segmentation.condition import Condition
 from turbseg_ros.segmentation.cropped_mask import CroppedMask
 from turbseg_ros.segmentation.frame import Frame, MovingObject, SegmentationResult, label_of
 from turbseg_ros.segmentation.geometry import scaling
+from turbseg_ros.segmentation.load import Step
 from turbseg_ros.segmentation.marked_regions import FittedRegions
 from turbseg_ros.segmentation.motion import MotionEstimate
 from turbseg_ros.segmentation.resolution import Resolution
@@ -36,6 +37,7 @@ class PendingResult:
     coasted: bool = False
     regions: FittedRegions | None = None
     condition: Condition = Condition.SOUND
+    step: Step = Step.FULL
 
     def result(self) -> SegmentationResult:
         """Return the result: objects are the tracks that are confirmed by now."""
@@ -49,6 +51,7 @@ class PendingResult:
                 labels=labels,
                 objects=objects,
                 coasted=self.coasted,
+                step=self.step,
                 regions=self.regions,
                 condition=self.condition,
                 camera=self.camera.state,
@@ -62,6 +65,7 @@ class PendingResult:
             tilt=self.motion.tilt * scale,
             ego_motion_model=self.camera.model_beside(self.motion.ego_motion_model),
             coasted=self.coasted,
+            step=self.step,
             clutter=None if clutter is None else clutter * np.float32(scale),
             regions=self.regions,
             condition=self.condition,
