@@ -366,7 +366,7 @@ class SeedParameters:
         maximum=100.0,
     )
     standing_out: bool = parameter(
-        False,
+        True,
         "Look as well at what stands out from the scene's past, though flow doesn't show it to "
         "move: what goes too fast for it, or is plain.",
         read_only=True,

@@ -200,7 +200,7 @@ def test_an_object_that_hides_for_too_long_ends() -> None:
     tracker = tracker_of()
     follow(tracker, range(8), (5, 30), (3, 0))
     wait(tracker, MAX_AGE + 1)
-    assert not tracker.expected_outlines(STILL_CAMERA, (96, 160))
+    assert not tracker.expected_objects(STILL_CAMERA, (96, 160))
     later = 8 + MAX_AGE + 1
     after = follow(tracker, range(later, later + CONFIRMATION), (5, 30), (3, 0))
     assert after.track.id == 2
@@ -436,9 +436,9 @@ def test_an_object_that_stops_is_kept_until_max_age() -> None:
     for _ in range(MAX_AGE):
         standing = seen(26, 30, moving=False)
         assert only(update(tracker, [standing])).track is last.track
-    assert len(tracker.expected_outlines(STILL_CAMERA, (96, 160))) == 1
+    assert len(tracker.expected_objects(STILL_CAMERA, (96, 160))) == 1
     update(tracker, [standing])
-    assert not tracker.expected_outlines(STILL_CAMERA, (96, 160))
+    assert not tracker.expected_objects(STILL_CAMERA, (96, 160))
 
 
 def test_ids_are_never_used_again() -> None:
@@ -525,20 +525,20 @@ def test_a_turn_of_the_camera_turns_velocities() -> None:
 def test_an_object_is_expected_where_it_is_headed() -> None:
     tracker = tracker_of()
     follow(tracker, range(8), (5, 30), (3, 0))
-    (expected,) = tracker.expected_outlines(pan(-10, 4), (96, 160))
+    (expected,) = tracker.expected_objects(pan(-10, 4), (96, 160))
     true = np.zeros((96, 160), bool)
     true[34:46, 19:39] = True
-    assert jaccard(expected.in_frame(true.shape), true) > 0.8
+    assert jaccard(expected.outline.in_frame(true.shape), true) > 0.8
 
 
 def test_a_hidden_object_is_expected_where_it_has_got_to() -> None:
     tracker = tracker_of()
     follow(tracker, range(8), (5, 30), (3, 0))
     wait(tracker, 4)
-    (expected,) = tracker.expected_outlines(STILL_CAMERA, (96, 160))
+    (expected,) = tracker.expected_objects(STILL_CAMERA, (96, 160))
     true = np.zeros((96, 160), bool)
     true[30:42, 41:61] = True
-    assert jaccard(expected.in_frame(true.shape), true) > 0.8
+    assert jaccard(expected.outline.in_frame(true.shape), true) > 0.8
 
 
 def test_a_hidden_object_is_expected_where_the_camera_has_turned() -> None:
@@ -547,16 +547,16 @@ def test_a_hidden_object_is_expected_where_the_camera_has_turned() -> None:
         update(tracker, [seen(120 - 5 * frame, 30, (3.0, 0.0))], pan(-8, 0))
     for _ in range(3):
         update(tracker, [], pan(-8, 0))
-    (expected,) = tracker.expected_outlines(pan(-8, 0), (96, 160))
+    (expected,) = tracker.expected_objects(pan(-8, 0), (96, 160))
     true = np.zeros((96, 160), bool)
     true[30:42, 65:85] = True
-    assert jaccard(expected.in_frame(true.shape), true) > 0.8
+    assert jaccard(expected.outline.in_frame(true.shape), true) > 0.8
 
 
 def test_what_is_no_object_is_not_expected() -> None:
     tracker = tracker_of()
     follow(tracker, range(CONFIRMATION - 1), (5, 30), (3, 0))
-    assert not tracker.expected_outlines(STILL_CAMERA, (96, 160))
+    assert not tracker.expected_objects(STILL_CAMERA, (96, 160))
 
 
 def test_an_object_that_gets_nowhere_ends() -> None:
@@ -565,7 +565,7 @@ def test_an_object_that_gets_nowhere_ends() -> None:
     for _ in range(60):
         # It has stopped, and flow says that it has not.
         update(tracker, [seen(26, 30, (3.0, 0.0))])
-    assert not tracker.expected_outlines(STILL_CAMERA, (96, 160))
+    assert not tracker.expected_objects(STILL_CAMERA, (96, 160))
     assert tracker.next_id == 2
 
 

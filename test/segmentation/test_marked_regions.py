@@ -119,7 +119,7 @@ def test_a_detection_that_mostly_is_ignored_is_none_unless_it_is_known() -> None
     inside, mostly, hardly = detection(10, 10), detection(49, 40), detection(51, 70)
     regions, everything = fitted(marked(LEFT)), [inside, mostly, hardly]
     assert regions.looked_at(everything, []) == [hardly]
-    assert regions.looked_at(everything, [detection(12, 12).outline]) == [inside, hardly]
+    assert regions.looked_at(everything, [detection(12, 12)]) == [inside, hardly]
     assert fitted().looked_at(everything, []) == everything
 
 

@@ -1,7 +1,9 @@
-"""What drives off leaves no ghost: earlier frames that show it standing show no background.
+"""What drives off leaves no ghost, nor does what became background stand out from before.
 
 What stood there from the first frame on, or for so long that it was background, is part of what
-the scene looked like. Once it has moved, the place it left would stand out from that.
+the scene looked like. Once it has moved, the place it left would stand out from that; so earlier
+frames that show it standing show no background there. When something has stood for so long that
+it is background, those from before show none there either.
 """
 
 from __future__ import annotations
@@ -47,6 +49,8 @@ class DepartedObjects:
     def hide(self, index: int, observations: Sequence[Observation]) -> None:
         """Have tracks that became objects hidden in earlier frames that show them standing.
 
+        The places of those that became background are hidden in all earlier frames.
+
         :param index: the frame that the observations are of.
         """
         image = self._window[index].detail
@@ -54,25 +58,31 @@ class DepartedObjects:
         self._beginnings = {}
         for seen in observations:
             track, outline = seen.track, seen.detection.outline
-            if track.hits == 1 and outline.area:
+            if track.is_absorbed:
+                self._hide(index, outline)
+            elif track.hits == 1 and outline.area:
                 known[track] = _Beginning(index, outline, image[outline.box.slices].copy())
         for track, beginning in known.items():
             if track.confirmed:
-                self._hide(beginning)
+                self._hide(beginning.index, beginning.outline, beginning)
             elif track.misses <= 1:
                 self._beginnings[track] = beginning
 
-    def _hide(self, beginning: _Beginning) -> None:
-        window = self._window
-        first = beginning.index
+    def _hide(self, first: int, outline: CroppedMask, standing: _Beginning | None = None) -> None:
+        """Hide an outline of a frame in those before it: in all, or those that show it `standing`.
+
+        :param first: that frame.
+        """
+        window, shape = self._window, self._resolution.detail_shape
         if window.transform_if_continuous(first, window.count - 1) is None:
             return
         transforms = window.transforms_from(first)
-        guarded = beginning.outline.dilated(_GUARD, self._resolution.detail_shape)
+        guarded = outline.dilated(_GUARD, shape)
         for other in window.key_frames(first):
             to_other = self._resolution.to_detail(transforms[other])
-            if other < first and _shows(window[other].scene, to_other, beginning):
-                shape = self._resolution.detail_shape
+            if other > first:
+                continue
+            if standing is None or _shows(window[other].scene, to_other, standing):
                 there = guarded.resampled(to_other, shape, cv2.INTER_NEAREST)
                 window.mark_objects(other, [there])
 

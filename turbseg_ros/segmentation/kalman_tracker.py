@@ -52,9 +52,9 @@ _FLICKER, _MIN_TILT, _FLICKER_HITS = 2.0, 0.2, 2
 _REDRAWN = 0.02
 # Share of its size that an object must have travelled to be certainly no clutter.
 _TRAVELLED = 0.5
-# Least displacement of what no flow shows to move, in roots of its area, and over its path
-# length.
-_CLEAR, _STRAIGHT = 1.0, 0.75
+# Least displacement of what no flow shows to move, in roots of its area and, besides, in tilts,
+# and over its path length.
+_CLEAR, _SHIMMER, _STRAIGHT = 1.0, 3.0, 0.75
 # Frames without an object after which it is out of sight, pixels a frame from which it then goes
 # on, and the share of its speed by which what moves otherwise is none of it.
 _LOST, _PASSING, _OTHER_SPEED = 2, 0.5, 0.5
@@ -145,14 +145,12 @@ class KalmanTracker:
         self._clutter_sites = []
         self._depth_order = DepthOrder()
 
-    def expected_outlines(self, ego_motion: Matrix, shape: tuple[int, int]) -> list[CroppedMask]:
-        """Return where each object should be in the coming frame of some shape.
+    def expected_objects(self, ego_motion: Matrix, shape: tuple[int, int]) -> list[Detection]:
+        """Return each object as it should be in the coming frame of some shape.
 
         :param ego_motion: takes the last frame's pixels to the coming one's.
         """
-        return [
-            track.expected(ego_motion, shape).outline for track in self._tracks if track.confirmed
-        ]
+        return [track.expected(ego_motion, shape) for track in self._tracks if track.confirmed]
 
     def travelled_outlines(
         self, ego_motion: Matrix, shape: tuple[int, int], frames: int
@@ -385,7 +383,7 @@ class KalmanTracker:
         )
         if any(site.holds(track.start) for site in self._clutter_sites):
             wanted = max(wanted, track.size)
-        if not track.detection.flow_known and not _gets_clear(track):
+        if not track.detection.flow_known and not _gets_clear(track, tilt):
             return False
         if track.detection.truncated:
             wanted = max(wanted, _WANDERS * track.walked)
@@ -444,9 +442,9 @@ def _flickers(track: Track, tilt: float) -> bool:
     return jitter(track.sightings, tilt) > _FLICKER * usual
 
 
-def _gets_clear(track: Track) -> bool:
-    """Whether a track has gone straight on, further than it is wide."""
-    clear = _CLEAR * float(np.sqrt(track.detection.area))
+def _gets_clear(track: Track, tilt: float) -> bool:
+    """Whether a track has gone straight on, further than it is wide and than tilt takes it."""
+    clear = _CLEAR * float(np.sqrt(track.detection.area)) + _SHIMMER * tilt
     return track.travelled >= max(clear, _STRAIGHT * track.walked)
 
 

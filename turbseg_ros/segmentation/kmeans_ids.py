@@ -50,7 +50,7 @@ class KMeansIds:
         """Forget the clip; ids go on."""
         self._clip = []
 
-    def expected_outlines(self, ego_motion: Matrix, shape: tuple[int, int]) -> list[CroppedMask]:
+    def expected_objects(self, ego_motion: Matrix, shape: tuple[int, int]) -> list[Detection]:
         """Expect nothing: each frame stands for itself."""
         return []
 

@@ -202,15 +202,15 @@ class FittedRegions:
         return np.where(unseen, np.float32(np.inf), noise)
 
     def looked_at(
-        self, detections: Sequence[Detection], expected: Sequence[CroppedMask]
+        self, detections: Sequence[Detection], expected: Sequence[Detection]
     ) -> list[Detection]:
         """Return detections, at detail resolution, without those that mostly are ignored.
 
-        :param expected: where known objects should be, which are followed everywhere.
+        :param expected: known objects as they should be, which are followed everywhere.
         """
         if not self.marked:
             return list(detections)
-        known = union_mask(expected, self.resolution.detail_shape)
+        known = union_mask([each.outline for each in expected], self.resolution.detail_shape)
         return [
             detection
             for detection in detections

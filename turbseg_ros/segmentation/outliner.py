@@ -49,6 +49,8 @@ _KNOWN = 0.5
 # Detail pixels from where a known object should be within which what stands out lies beside it,
 # and the share of it that must stand out to show it whole.
 _BESIDE, _WHOLE = 4, 0.8
+# Frames in which what leaves its place soon covers its own size.
+_COVERS = 12
 # A known object counts as resting when motion was found on less than this share of it.
 _RESTING = 0.6
 # Share of an outline from which on it is what stands out, and no flow tells its velocity.
@@ -146,14 +148,14 @@ class Outliner:
         self,
         index: int,
         moving: Moving,
-        expected: Sequence[CroppedMask],
+        expected: Sequence[Detection],
         overlays: Sequence[CroppedMask],
         tilt: float,
         stamp: int,
     ) -> list[Detection]:
         """Return what may be an object in a frame, at detail resolution.
 
-        :param expected: where known objects should be, whether they move or rest.
+        :param expected: known objects as they should be, whether they move or rest.
         :param overlays: what is burnt into the picture, if anything; see `overlay_masks`.
         :param tilt: rms turbulent motion an axis in detail pixels.
         :param stamp: the frame's, for those who observe.
@@ -165,13 +167,16 @@ class Outliner:
         image = self._window[index].detail
         measured = union_mask([area.search_mask for area in moving.areas], shape)
         proposed = self._standing_areas(index, moving, measured, tilt)
-        proposed = _apart_or_whole(proposed, expected, shape)
+        proposed = _apart_or_whole(
+            proposed, [each.outline for each in expected if not _leaves_soon(each)], shape
+        )
         standing = union_mask([area.search_mask for area in proposed], shape) & ~measured
         looked_at = measured | standing
+        known = [each.outline for each in expected]
 
         def crops() -> Sequence[ObjectCrop]:
             with self._observer.stage("crops"):
-                areas = [*moving.areas, *proposed, *_resting_areas(expected, looked_at)]
+                areas = [*moving.areas, *proposed, *_resting_areas(known, looked_at)]
                 # With nothing to look at, the scene at other times need not be aligned.
                 views = self._aligned_frames(index, moving) if areas else []
                 before = self._stopped.views()
@@ -183,14 +188,14 @@ class Outliner:
             outlines = self._method.outlines(moving, crops, self._resolution)
             outlines = _in_scene(outlines, overlays)
             if self._window[index].camera.state is CameraState.SLEWING:
-                outlines = _of_known(outlines, union_mask(expected, shape))
+                outlines = _of_known(outlines, union_mask(known, shape))
         seen_to_move = looked_at if moving.measured else standing
         found = [
             _detection(outline, seen_to_move, standing, moving.motion, self._resolution)
             for outline in outlines
             if outline.area >= _MIN_OUTLINE
         ]
-        return self._stopped.completed(found, expected, measured, image, tilt, stamp)
+        return self._stopped.completed(found, known, measured, image, tilt, stamp)
 
     def remember(
         self, index: int, moving: Moving, observations: Sequence[Observation], stamp: int
@@ -316,6 +321,8 @@ def _apart_or_whole(
 
     What stands out beside one is what it has left, which hasn't been seen for long; and of one
     that rests, parts are soon like its past.
+
+    :param expected: the objects that this may be so of.
     """
     masks = [area.search_mask for area in areas]
     frames = [mask.in_frame(shape) for mask in masks]
@@ -326,6 +333,11 @@ def _apart_or_whole(
         if not mask.intersection_area(beside)
         or any(_shows_whole(each, mask, frame) for each in expected)
     ]
+
+
+def _leaves_soon(expected: Detection) -> bool:
+    """Whether an object is so fast that the past knows its place without it, all but at once."""
+    return float(np.hypot(*expected.velocity)) * _COVERS > float(np.hypot(*expected.box.shape))
 
 
 def _shows_whole(expected: CroppedMask, mask: CroppedMask, frame: Mask) -> bool:

@@ -6,7 +6,7 @@
              seeds                     region_growing.seed_strength; evidence.PictureEvidence
     eq. 3    seeded region growing     region_growing.similar_velocity; similar_magnitude
              small targets             small_targets.TargetTracks (not in the paper)
-             what stands out           standing_out.standing_areas; not asked
+             what stands out           standing_out.standing_areas (not in the paper)
     eq. 4    mask ids                  kalman_tracker.KalmanTracker; kmeans_ids.kmeans_ids
     eq. 5-9  refinement                outliner.RefinedDifference; learning.clip_refinement
 
@@ -114,7 +114,7 @@ class Pipeline:
         else:
             # Detections: objects cut out of the picture where something moves (eq. 5 to 9).
             tilt = resolution.tilt_in_detail(min(moving.motion.tilt, BEYOND_TURBULENCE))
-            expected = tracker.expected_outlines(ego_motion, shape)
+            expected = tracker.expected_objects(ego_motion, shape)
             detections = self._outliner.detections(
                 index, moving, expected, overlays, tilt, frame.stamp
             )

@@ -44,7 +44,7 @@ _MOST = 0.4
 # Areas that are proposed, the largest.
 _AREAS = 12
 # Share of what stands out that is looked at anyway from which on it isn't proposed.
-_LOOKED_AT = 0.3
+_LOOKED_AT = 0.6
 # Pixels of the reduced size by which the scene may lie aside, and the share of the squared
 # difference that is left then.
 _ASIDE, _EXPLAINED = 3, 0.25

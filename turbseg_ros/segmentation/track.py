@@ -358,8 +358,8 @@ class Tracker(Protocol):
     def reset(self) -> None:
         """End all tracks; ids go on."""
 
-    def expected_outlines(self, ego_motion: Matrix, shape: tuple[int, int]) -> list[CroppedMask]:
-        """Return where each object should be in the coming frame of some shape.
+    def expected_objects(self, ego_motion: Matrix, shape: tuple[int, int]) -> list[Detection]:
+        """Return each object as it should be in the coming frame of some shape.
 
         :param ego_motion: takes the last frame's pixels to the coming one's.
         """
