@@ -93,6 +93,7 @@ def test_what_is_idle_changes_nothing(
         ("flow.average", "mean", {}),
         ("flow.variational_iterations", 5, {}),
         ("latency.warm_up", 0, {}),
+        ("seed.clutter", 0.0, {}),
         ("tracking.min_hits", 30, {}),
         ("latency.coast_from", 0, {}),
         ("latency.sparse_from", 0, {}),

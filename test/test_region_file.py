@@ -13,7 +13,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from turbseg_ros.parameters import ParameterError, RegionsParameters
+from turbseg_ros.parameters import ParameterError, Parameters, RegionsParameters
 from turbseg_ros.region_file import marked_regions, mask_picture, regions_in
 from turbseg_ros.segmentation.marked_regions import Limits, MarkedRegion
 
@@ -237,7 +237,7 @@ def test_a_mask_that_is_none_is_one_line(given: bytes, text: str) -> None:
 def test_a_file_that_is_missing_is_named_with_its_parameter(tmp_path: Path, name: str) -> None:
     for path, reason in ((tmp_path / "none", "No such file"), (tmp_path, "Is a directory")):
         with pytest.raises(ParameterError) as caught:
-            marked_regions(RegionsParameters(**{name: str(path)}))
+            marked_regions(Parameters.from_mapping({f"regions.{name}": str(path)}).regions)
         assert str(caught.value).startswith(f"parameter regions.{name}: {path}: {reason}")
 
 

@@ -372,6 +372,12 @@ class SeedParameters:
         read_only=True,
         used_when=_BACKGROUND,
     )
+    small_targets: bool = parameter(
+        True,
+        "Follow what stands out from all of its surroundings in each frame, and take it for an "
+        "object once it has come far enough: what is too small or too slow for flow.",
+        read_only=True,
+    )
 
 
 @dataclass(frozen=True)
@@ -542,6 +548,12 @@ class RegionsParameters:
         "",
         "Such a picture; objects are looked for only where it is white. Empty: everywhere.",
         names_file=True,
+    )
+    static_overlays: bool = parameter(
+        True,
+        "Find what stands still in the picture while the scene moves, and look for nothing there: "
+        "clocks, text, cross-hairs, bars.",
+        read_only=True,
     )
 
 

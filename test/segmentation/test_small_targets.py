@@ -8,6 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
+from support.drawn_clip import segmented
+from turbseg_ros.parameters import Parameters
 from turbseg_ros.segmentation.camera_state import CameraState
 from turbseg_ros.segmentation.cropped_mask import CroppedMask
 from turbseg_ros.segmentation.geometry import translation
@@ -202,3 +204,12 @@ def test_nothing_is_followed_in_a_frame_without_blobs() -> None:
     tracks = TargetTracks()
     tracks.take(NO_BLOBS, np.eye(3))
     assert tracks.moving_at(0) == []
+
+
+@pytest.mark.parametrize("wanted", [True, False])
+def test_small_targets_are_reported_only_when_they_are_wanted(wanted: bool) -> None:
+    sizes = {"resolution.processing": 180, "resolution.detail": 180}
+    parameters = Parameters.from_mapping({**sizes, "seed.small_targets": wanted})
+    pictures = [picture([*LAMPS, straight(0.5)(index)], index) for index in range(48)]
+    found = [moving for result in segmented(pictures, parameters) for moving in result.objects]
+    assert bool(found) is wanted

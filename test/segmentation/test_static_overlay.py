@@ -11,7 +11,7 @@ import pytest
 from support.segmenters import segmenter_by_rules
 from turbseg_ros.parameters import Parameters
 from turbseg_ros.segmentation.clutter import CELL
-from turbseg_ros.segmentation.frame import Frame, segment
+from turbseg_ros.segmentation.frame import Frame, MovingObject, segment
 from turbseg_ros.segmentation.registration import align
 from turbseg_ros.segmentation.static_overlay import OverlayMemory
 
@@ -118,10 +118,22 @@ def test_an_overlay_that_goes_is_forgotten() -> None:
     assert still.mean() < 0.01
 
 
+def objects_in_a_pan(
+    burnt_in: Callable[[np.ndarray], np.ndarray], parameters: Parameters
+) -> list[MovingObject]:
+    pictures = [cv2.resize(view(k, 1.5), None, fx=2, fy=2) for k in range(36)]
+    frames = [Frame(k * 10**9 // 30, burnt_in(each)) for k, each in enumerate(pictures)]
+    results = segment(frames, segmenter_by_rules(parameters))
+    return [moving for result in results for moving in result.objects]
+
+
 @pytest.mark.parametrize("burnt_in", [with_text, with_bars])
 def test_what_is_burnt_in_is_no_object_while_the_camera_pans(
     burnt_in: Callable[[np.ndarray], np.ndarray],
 ) -> None:
-    pictures = [cv2.resize(view(k, 1.5), None, fx=2, fy=2) for k in range(36)]
-    frames = [Frame(k * 10**9 // 30, burnt_in(each)) for k, each in enumerate(pictures)]
-    assert not [r.objects for r in segment(frames, segmenter_by_rules(Parameters())) if r.objects]
+    assert not objects_in_a_pan(burnt_in, Parameters())
+
+
+def test_what_is_burnt_in_is_an_object_where_it_is_taken_for_scene() -> None:
+    as_scene = Parameters.from_mapping({"regions.static_overlays": False})
+    assert objects_in_a_pan(with_text, as_scene)

@@ -30,8 +30,16 @@ VARIANTS: Mapping[str, Mapping[str, Value]] = {
     "Sampson distance (eq. 2)": {"motion.measure": "sampson"},
     "no geometric check": {"motion.measure": "none"},
     "similar magnitude (eq. 3)": {"growing.similarity": "magnitude"},
-    "what stands out from the past": {"seed.standing_out": True},
     "growing only": {"outline.method": "none"},
+    "seeds not held against the pictures": {"seed.evidence": 0.0},
+    "seeds that know no clutter": {"seed.clutter": 0.0},
+    "nothing but motion": {"seed.standing_out": False},
+    "no small targets": {"seed.small_targets": False},
+    "static overlays are scene": {"regions.static_overlays": False},
+    # So many false alarms are allowed that chance would take anything as far as it must go.
+    "no test of significance": {"tracking.false_alarms_per_hour": 1e6},
+    "what stops is not kept": {"tracking.stopped": 0.0},
+    "look-ahead 15": {"latency.look_ahead": 15},
 }
 """What the ablation changes, one thing at a time: names of variants and their parameters."""
 

@@ -179,7 +179,12 @@ class MotionSegmenter:
         resolution = self._resolution_of(frame)
         return _Stream(
             kind=_kind_of(frame),
-            preparer=FramePreparer(resolution, self._preparation, self._observer),
+            preparer=FramePreparer(
+                resolution,
+                self._preparation,
+                self._observer,
+                self._parameters.seed.small_targets,
+            ),
             pipeline=Pipeline(
                 resolution,
                 self._parameters,

@@ -77,7 +77,7 @@ class Pipeline:
             observer,
             self._travelled_objects,
         )
-        self._scene = SceneMemory()
+        self._scene = SceneMemory(parameters.regions.static_overlays)
         self._targets = TargetTracks()
         self._regions = strategies.regions.fitted(resolution)
         # The frame that was tracked last.

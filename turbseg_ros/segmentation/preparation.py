@@ -66,11 +66,13 @@ def prepare(
     previous: PreparedFrame | None,
     observer: StageObserver,
     voteless: Mask | None = None,
+    small_targets: bool = True,
 ) -> PreparedFrame:
     """Scale an 8-bit picture, HxW or HxWx3, register it to the frame before, and judge it by that.
 
     :param previous: the last frame that joined the window.
     :param voteless: cells of that frame that are no scene and have no say in it, hxw.
+    :param small_targets: whether what may be one is looked for.
     """
     with observer.stage("scaling"):
         detail = _shrunk(picture, resolution.detail)
@@ -91,7 +93,7 @@ def prepare(
             motion = None if found is None else from_previous
             condition, usual = judged(grey, previous.grey, motion, previous.usual)
     with observer.stage("small targets"):
-        blobs = blobs_in(grey)
+        blobs = blobs_in(grey) if small_targets else NO_BLOBS
     return PreparedFrame(
         index=index,
         grey=grey,
@@ -110,11 +112,16 @@ class FramePreparer:
     """Prepares one frame at a time in a background thread, while earlier ones are segmented."""
 
     def __init__(
-        self, resolution: Resolution, executor: Executor, observer: StageObserver
+        self,
+        resolution: Resolution,
+        executor: Executor,
+        observer: StageObserver,
+        small_targets: bool,
     ) -> None:
         self._resolution = resolution
         self._executor = executor
         self._observer = observer
+        self._small_targets = small_targets
         self._tone = ToneMap()
         self._tone_before = copy.copy(self._tone)
         self._under_way: tuple[Frame, Future[PreparedFrame]] | None = None
@@ -135,7 +142,14 @@ class FramePreparer:
         self._tone_before = copy.copy(self._tone)
         picture = self._tone(frame.image)
         preparation = self._executor.submit(
-            prepare, picture, self._resolution, index, previous, self._observer, voteless
+            prepare,
+            picture,
+            self._resolution,
+            index,
+            previous,
+            self._observer,
+            voteless,
+            self._small_targets,
         )
         self._under_way = (frame, preparation)
 

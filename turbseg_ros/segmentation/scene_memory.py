@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from turbseg_ros.arrays import ByteImage, Mask, Matrix
-from turbseg_ros.segmentation.clutter import ClutterMemory
+from turbseg_ros.segmentation.clutter import ClutterMemory, cells_of
 from turbseg_ros.segmentation.motion import MotionEstimate
 from turbseg_ros.segmentation.moving import Moving
 from turbseg_ros.segmentation.static_overlay import OverlayMemory
@@ -22,11 +24,13 @@ class SceneMemory:
     """Knows by how much each place moves anyway, and what is no scene but burnt into the picture.
 
     Short and long baselines have clutter of their own: each has a memory of its own.
+
+    :param static_overlays: whether what is burnt in is looked for; else all is scene.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, static_overlays: bool) -> None:
         self._clutter: list[ClutterMemory] = []
-        self._overlay = OverlayMemory()
+        self._overlay = OverlayMemory() if static_overlays else None
         self._change = UsualChange()
         # Frames since motion was measured, and how many times it was left out.
         self._frames, self._left_out = 0, 0
@@ -65,6 +69,8 @@ class SceneMemory:
 
         :param aligned: the neighbours as the frame itself would show them.
         """
+        if self._overlay is None:
+            return np.zeros(cells_of(neighbourhood.grey.shape), bool)
         return self._overlay.take(
             neighbourhood.grey, neighbourhood.neighbours, aligned, neighbourhood.transforms
         )
