@@ -61,8 +61,25 @@ def test_nothing_new_is_an_object_while_the_camera_slews() -> None:
 
 
 def test_without_that_rule_it_would_be(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(outliner, "_of_known", lambda outlines, expected: outlines)
+    monkeypatch.setattr(outliner, "_known_or_followed", lambda detections, *_: detections)
     assert any(result.objects for result in segmented(SLEW, PARAMETERS)[3:20])
+
+
+@pytest.mark.parametrize("speed", [4.0, 7.0])
+def test_what_the_camera_turns_to_follow_is_found(speed: float) -> None:
+    # It drifts a little in the picture, as nobody follows anything without that.
+    places = [(100 + round(6 * np.sin(number / 6)), 60) for number in range(40)]
+    clip = [view(200.0 + speed * n, 1.0, n, place) for n, place in enumerate(places)]
+    results = segmented(clip, PARAMETERS)
+    state = CameraState.SLEWING if speed > 6.0 else CameraState.FOLLOWING
+    assert set(states(results)[15:]) == {state}
+    overlaps = []
+    for result, (left, top) in zip(results[10:], places[10:], strict=True):
+        square = np.zeros(SHAPE, bool)
+        square[top : top + 24, left : left + 24] = True
+        overlaps.append(jaccard(result.labels > 0, square))
+    assert np.mean(overlaps) > 0.6
+    assert len(ids(results)) == 1
 
 
 def test_a_zoom_is_the_cameras_motion_and_no_object() -> None:

@@ -162,7 +162,8 @@ def test_areas_that_touch_are_one_object() -> None:
 def test_a_crop_leaves_what_is_nearer_to_another_area_to_that_ones_crop() -> None:
     upper, lower = rectangle(40, 20, 80, 40), rectangle(60, 46, 100, 66)
     areas = [area_around(each, margin=2) for each in (upper, lower)]
-    crops = object_crops(ground_of(1), areas, [], STILL, TILT)
+    ground = ground_of(1)
+    crops = object_crops(ground, areas, still_views(ground), STILL, TILT)
     assert crops[0].box.intersection(crops[1].box) is not None
     judged = [(upper | lower)[crop.box.slices].astype(np.float32) for crop in crops]
     found = refined_masks(crops, judged)
@@ -254,6 +255,10 @@ def test_the_guided_filter_keeps_the_edges_of_its_guide() -> None:
     np.testing.assert_allclose(kept, step, atol=0.1)
     blurred = guided_filter(np.full(SHAPE, 0.5, np.float32), step, radius=2, epsilon=1e-3)
     assert np.abs(blurred - step).max() > 0.5
+
+
+def test_nothing_is_cut_out_where_no_other_frame_shows_the_scene() -> None:
+    assert object_crops(ground_of(1), [area_around(CAR)], [], STILL, TILT) == []
 
 
 def test_the_motion_of_a_window_lies_where_the_picture_does() -> None:

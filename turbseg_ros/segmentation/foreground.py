@@ -86,6 +86,8 @@ def object_crops(
 ) -> list[ObjectCrop]:
     """Gather what is known of moving areas; those that touch are looked at together.
 
+    Where no view shows the scene, at once after the camera was turned to another, there is none.
+
     :param image: HxWxC, the frame.
     :param views: the scene at other times, for its background.
     :param tilt: rms turbulent motion an axis in pixels.
@@ -107,6 +109,9 @@ def object_crops(
     crops = []
     for piece in reversed(pieces):
         box = Box.of_rectangle(cv2.boundingRect(piece)).padded(_MARGIN, shape)
+        shown = [*views, *(part for part in parts if part.shows_of(box))]
+        if not shown:
+            continue
         cut = box.slices
         count, labels = cv2.connectedComponents(moving[cut].astype(np.uint8))
         column, row = piece[0, 0] - (box.x0, box.y0)
@@ -117,7 +122,7 @@ def object_crops(
             ObjectCrop(
                 box=box,
                 image=np.ascontiguousarray(image[cut]),
-                views=[*views, *(part for part in parts if part.shows_of(box))],
+                views=shown,
                 area=AreaMasks(mask, probable[cut], certain[cut], nearest),
                 motion=_cropped(strength, box, shape),
                 tilt=tilt,

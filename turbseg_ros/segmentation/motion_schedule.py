@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from turbseg_ros.arrays import Mask
 from turbseg_ros.parameters import FlowParameters, Parameters
 from turbseg_ros.segmentation.average import LONG_BASELINE
@@ -19,6 +21,9 @@ from turbseg_ros.segmentation.window import FrameWindow
 
 SPARSE = 2
 """Periods of measuring motion from one time to the next while very many frames wait."""
+# Pixels at processing resolution by which the camera may turn within an interval: what it follows
+# moves against the scene by as much, and flow must find it.
+_FOLLOWED = 16.0
 # Periods for which nothing must have been cut out for it to be said that nothing is there.
 _CALM = 2
 
@@ -148,20 +153,44 @@ class MotionSchedule:
         :param known_from: the frame in which that is waited for.
         """
         self._known_from[index] = known_from
-        wanted = self._measure.intervals(self._interval)
+        interval = self._interval_in(index)
+        wanted = self._measure.intervals(interval)
         neighbourhood = self._window.neighbourhood(index, wanted)
         before, self._submitted = self._submitted, index
         self._worker.submit(
             MotionJob(
                 index,
                 neighbourhood,
-                self._interval,
+                interval,
                 self._window.transform_if_continuous(before, index),
                 index - before,
                 self._objects_in(index),
                 self._unfollowed(),
             )
         )
+
+    def _interval_in(self, index: int) -> int:
+        """Return the interval in use, or a shorter one where the camera turns too far in it."""
+        far = self._turned(index - self._interval, index)
+        if far is None:
+            far = self._turned(index, index + self._interval)
+        if far is None or far <= _FOLLOWED:
+            return self._interval
+        return max(int(self._interval * _FOLLOWED / far), 1)
+
+    def _turned(self, source: int, target: int) -> float | None:
+        """Return how far the scene in the middle of a frame has gone by a later one, in pixels.
+
+        None where either frame isn't at hand, or there is a cut between them.
+        """
+        if target >= self._window.count:
+            return None
+        motion = self._window.transform_if_continuous(source, target)
+        if motion is None:
+            return None
+        width, height = self._resolution.processing
+        middle = np.array([width / 2, height / 2, 1.0])
+        return float(np.hypot(*(motion @ middle - middle)[:2]))
 
     def _unfollowed(self) -> Moving | None:
         """Return what was measured last, as it moved on, if nothing was cut out for a while."""

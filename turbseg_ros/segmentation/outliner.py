@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from turbseg_ros.arrays import Mask, Matrix
+from turbseg_ros.arrays import Mask, Matrix, Point
 from turbseg_ros.parameters import Parameters
 from turbseg_ros.segmentation.areas import MovingArea
 from turbseg_ros.segmentation.background import AlignedFrame, MaskedImage, with_objects_masked
@@ -46,6 +46,9 @@ _BORDER = 8
 _MIN_SCENE = 0.5
 # Share of an outline that must lie where known objects should be, to count as theirs.
 _KNOWN = 0.5
+# Share of the scene's motion in the picture below which what moves there is what the camera
+# follows.
+_FOLLOWS = 0.4
 # Detail pixels from where a known object should be within which what stands out lies beside it,
 # and the share of it that must stand out to show it whole.
 _BESIDE, _WHOLE = 4, 0.8
@@ -187,14 +190,14 @@ class Outliner:
         with self._observer.stage("outlines"):
             outlines = self._method.outlines(moving, crops, self._resolution)
             outlines = _in_scene(outlines, overlays)
-            if self._window[index].camera.state is CameraState.SLEWING:
-                outlines = _of_known(outlines, union_mask(known, shape))
         seen_to_move = looked_at if moving.measured else standing
         found = [
             _detection(outline, seen_to_move, standing, moving.motion, self._resolution)
             for outline in outlines
             if outline.area >= _MIN_OUTLINE
         ]
+        if self._window[index].camera.state is CameraState.SLEWING:
+            found = _known_or_followed(found, union_mask(known, shape), self._turn(index))
         return self._stopped.completed(found, known, measured, image, tilt, stamp)
 
     def remember(
@@ -259,6 +262,14 @@ class Outliner:
             frames.append(AlignedFrame(image, to_image, outlook.exposures[other].then(since)))
         return frames
 
+    def _turn(self, index: int) -> Point:
+        """Return by how much the scene in the middle of a frame has moved since the one before."""
+        motion = self._resolution.to_detail(self._window[index].from_previous)
+        width, height = self._resolution.detail
+        middle = np.array([width / 2, height / 2, 1.0])
+        turn: Point = (motion @ middle - middle)[:2]
+        return turn
+
     def _exposure(self, source: int, target: int, to_source: Matrix) -> ColourExposure:
         """Return what takes the values of one frame to those of another, channel by channel."""
         here, there = self._window[target], self._window[source]
@@ -309,9 +320,24 @@ def _in_scene(
     ]
 
 
-def _of_known(outlines: Sequence[CroppedMask], expected: Mask) -> list[CroppedMask]:
-    """Return the outlines that lie mostly where known objects should be."""
-    return [seen for seen in outlines if seen.intersection_area(expected) > _KNOWN * seen.area]
+def _known_or_followed(
+    detections: Sequence[Detection], expected: Mask, turn: Point
+) -> list[Detection]:
+    """Return the detections of known objects, and of what the camera turns to follow.
+
+    That nearly stands in the picture. All else that seems to move while the camera is turned fast
+    may be the scene.
+
+    :param expected: HxW, where known objects should be.
+    :param turn: by how much the scene moves in the picture, in pixels a frame.
+    """
+    slow = _FOLLOWS * float(np.linalg.norm(turn))
+    return [
+        seen
+        for seen in detections
+        if seen.outline.intersection_area(expected) > _KNOWN * seen.area
+        or (seen.flow_known and float(np.linalg.norm(np.add(seen.velocity, turn))) < slow)
+    ]
 
 
 def _apart_or_whole(
