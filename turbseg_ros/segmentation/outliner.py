@@ -54,6 +54,9 @@ _FOLLOWS = 0.4
 _BESIDE, _WHOLE = 4, 0.8
 # Frames in which what leaves its place soon covers its own size.
 _COVERS = 12
+# Frames after which the past is seen anew, and how many pixels the camera may move meanwhile: what
+# a moving one brings into view is known sooner then.
+_RENEWED, _SAME_VIEW = 8, 1.0
 # A known object counts as resting when motion was found on less than this share of it.
 _RESTING = 0.6
 # Share of an outline from which on it is what stands out, and no flow tells its velocity.
@@ -112,14 +115,12 @@ class _Outlook:
     """Cache, valid until motion is measured again.
 
     By index: other frames with what was predicted of the objects masked out, and their exposure
-    relative to frame `index`, in which motion was measured; and what the scene looked like before,
-    as that frame sees it.
+    relative to frame `index`, in which motion was measured.
     """
 
     index: int = 0
     images: dict[int, MaskedImage] = field(default_factory=dict)
     exposures: dict[int, ColourExposure] = field(default_factory=dict)
-    past: Past | None = None
 
 
 class Outliner:
@@ -144,6 +145,9 @@ class Outliner:
         self._observer = observer
         self._looks_at_past = parameters.looks_at_past
         self._outlook = _Outlook()
+        # What the scene looked like before, as the frame of that index sees it.
+        self._past: Past | None = None
+        self._past_index = -1
         self._stopped = StoppedObjects(window, resolution, parameters.tracking)
         self._departed = DepartedObjects(window, resolution)
 
@@ -226,16 +230,25 @@ class Outliner:
         """
         if not self._looks_at_past:
             return []
-        outlook, resolution = self._outlook, self._resolution
         with self._observer.stage("what stands out"):
-            if moving.measured:
-                views = self._aligned_frames(index, moving)
-                outlook.past = past_in(views, resolution.detail, tilt)
-            if outlook.past is None:
+            if moving.measured and not self._knows_past(index):
+                self._past_index = index
+                self._past = past_in(
+                    self._aligned_frames(index, moving), self._resolution.detail, tilt
+                )
+            goes_on = self._window.transform_if_continuous(self._past_index, index) is not None
+            if self._past is None or not goes_on:
                 return []
-            to_outlook = resolution.to_detail(self._window.transform(index, outlook.index))
-            past = outlook.past.seen_from(to_outlook)
+            to_past = self._window.transform(index, self._past_index)
+            past = self._past.seen_from(self._resolution.to_detail(to_past))
             return standing_areas(self._window[index].scene, past, looked_at)
+
+    def _knows_past(self, index: int) -> bool:
+        """Whether the past is known as another frame sees it that lies near enough."""
+        if self._past is None or index - self._past_index >= _RENEWED:
+            return False
+        motion = self._window.transform_if_continuous(self._past_index, index)
+        return motion is not None and bool(np.abs(motion - np.eye(3)).max() < _SAME_VIEW)
 
     def _aligned_frames(self, index: int, moving: Moving) -> list[AlignedFrame]:
         """Return the frames that show the scene at other times, as seen from this one.
