@@ -124,8 +124,8 @@ def background_in(
     :param shape: rows and columns to sample the box at, its own if None.
     """
     lower, median, upper, known = _quartiles_in(box, views, shape or box.shape)
-    spread = _without_last(upper - lower) * np.float32(_IQR_TO_SIGMA)
-    return Background(_without_last(median).astype(np.float32), spread, known)
+    spread = without_last(upper - lower) * np.float32(_IQR_TO_SIGMA)
+    return Background(without_last(median).astype(np.float32), spread, known)
 
 
 def cut_out(views: Sequence[AlignedFrame], box: Box, shape: tuple[int, int]) -> list[MaskedImage]:
@@ -149,8 +149,8 @@ def calm_background_in(
     """
     lower, median, upper, known = _quartiles_in(box, views, shape or box.shape)
     calmer = np.minimum(upper - median, median - lower)
-    spread = _without_last(calmer) * np.float32(2 * _IQR_TO_SIGMA)
-    return Background(_without_last(median).astype(np.float32), spread, known)
+    spread = without_last(calmer) * np.float32(2 * _IQR_TO_SIGMA)
+    return Background(without_last(median).astype(np.float32), spread, known)
 
 
 def _quartiles_in(
@@ -196,7 +196,7 @@ def _as_numbers(picture: ByteImage) -> npt.NDArray[np.signedinteger[Any]]:
     return numbers
 
 
-def _without_last(picture: ByteImage) -> ByteImage:
+def without_last(picture: ByteImage) -> ByteImage:
     """Return a picture, hxwx(C+1), without its last channel."""
     # NumPy would copy pixel by pixel, which takes five times as long.
     return cv2.merge(cv2.split(picture)[:-1]).reshape(*picture.shape[:2], -1)

@@ -55,6 +55,8 @@ _TRAVELLED = 0.5
 # Least displacement of what no flow shows to move, in roots of its area and, besides, in tilts,
 # and over its path length.
 _CLEAR, _SHIMMER, _STRAIGHT = 1.0, 3.0, 0.75
+# Frames more in which it must be seen: what flickers may leap straight on for some.
+_UNTOLD_HITS = 1
 # Frames without an object after which it is out of sight, pixels a frame from which it then goes
 # on, and the share of its speed by which what moves otherwise is none of it.
 _LOST, _PASSING, _OTHER_SPEED = 2, 0.5, 0.5
@@ -383,7 +385,9 @@ class KalmanTracker:
         )
         if any(site.holds(track.start) for site in self._clutter_sites):
             wanted = max(wanted, track.size)
-        if not track.detection.flow_known and not _gets_clear(track, tilt):
+        if not track.detection.flow_known and (
+            track.hits < self._min_hits + _UNTOLD_HITS or not _gets_clear(track, tilt)
+        ):
             return False
         if track.detection.truncated:
             wanted = max(wanted, _WANDERS * track.walked)

@@ -19,7 +19,12 @@ import numpy.typing as npt
 
 from turbseg_ros.arrays import ByteImage, Mask, Matrix
 from turbseg_ros.segmentation.areas import MovingArea
-from turbseg_ros.segmentation.background import AlignedFrame, MaskedImage, calm_background_in
+from turbseg_ros.segmentation.background import (
+    AlignedFrame,
+    MaskedImage,
+    calm_background_in,
+    without_last,
+)
 from turbseg_ros.segmentation.cropped_mask import EMPTY_MASK, Box, CroppedMask
 from turbseg_ros.segmentation.geometry import corner_displacement, scaling
 
@@ -142,7 +147,7 @@ def standing_areas(scene: MaskedImage, past: Past, looked_at: Mask) -> list[Movi
     :param looked_at: HxW, where objects are looked for anyway.
     """
     reduced = past.shape[::-1]
-    small = np.ascontiguousarray(_shrunk(scene.image, reduced)[..., :-1])
+    small = without_last(_shrunk(scene.image, reduced))
     elsewhere = cv2.resize(looked_at.view(np.uint8), reduced, interpolation=cv2.INTER_NEAREST)
     return [
         MovingArea(
@@ -159,12 +164,13 @@ def standing_areas(scene: MaskedImage, past: Past, looked_at: Mask) -> list[Movi
 def _shrunk(image: ByteImage, size: tuple[int, int]) -> ByteImage:
     """Return an image at a smaller size (width, height).
 
-    OpenCV halves pictures many times as fast as it averages over fractions of pixels.
+    OpenCV halves pictures many times as fast as it averages over fractions of pixels; where a side
+    is odd, pixels interpolated halfway between others are their mean, too.
     """
     while min(image.shape[1] / size[0], image.shape[0] / size[1]) >= 2.0:
         half = (image.shape[1] // 2, image.shape[0] // 2)
-        image = cv2.resize(image, half, interpolation=cv2.INTER_AREA)
-    return cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+        image = cv2.resize(image, half, interpolation=cv2.INTER_LINEAR)
+    return cv2.resize(image, size, interpolation=cv2.INTER_LINEAR)
 
 
 def _standing_out(image: ByteImage, past: Past) -> tuple[Mask, Mask]:
