@@ -222,7 +222,8 @@ def test_a_loop_goes_on_in_time(play, probe):
     ticks = probe.listen("/clock", Clock)
     images = probe.listen(IMAGES, Image)
     truths = probe.listen("/ground_truth/labels", Image)
-    probe.wait_for(lambda: len(images) > 3 * FRAMES, "three rounds")
+    # Listeners are found one after the other.
+    probe.wait_for(lambda: len(images) > 3 * FRAMES and truths, "three rounds")
     process.send_signal(signal.SIGINT)
     stamps = [stamp_to_ns(image.header.stamp) for image in images]
     # The step from the last frame to the first is the usual one.
