@@ -8,10 +8,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from support.drawn_clip import PARAMETERS, assert_sound
+from support.drawn_clip import assert_sound, segmented
 from support.drawn_scene import ByteImage, jaccard, texture
-from support.segmenters import segmenter_by_rules
-from turbseg_ros.segmentation.frame import Frame, SegmentationResult, segment
 
 SHAPE = (120, 320)
 SIDE, TOP = 24, 48
@@ -35,17 +33,10 @@ def truth(place: int) -> npt.NDArray[np.bool_]:
     return mask
 
 
-def found(places: Sequence[int]) -> list[SegmentationResult]:
-    """Segment a clip of the square at places along x."""
-    images = [image(place, number) for number, place in enumerate(places)]
-    frames = (Frame(round(n * 1e9 / 30), each, period=1 / 30) for n, each in enumerate(images))
-    return list(segment(frames, segmenter_by_rules(PARAMETERS)))
-
-
 @pytest.mark.parametrize(
     ("places", "least"),
     [
-        # Flow follows it at no time; or until it is four times as fast, of a sudden.
+        # Flow follows it at no time; or until it is three times as fast, of a sudden.
         pytest.param(list(range(-20, 340, 13)), 0.8, id="fast"),
         pytest.param([*range(-20, 100, 6), *range(114, 340, 20)], 0.82, id="ever faster"),
     ],
@@ -55,7 +46,7 @@ def test_what_goes_faster_than_flow_follows_is_outlined_whole(
 ) -> None:
     # Before it comes the scene is seen without it.
     places = [*([NOWHERE] * 30), *places]
-    results = found(places)
+    results = segmented(image(place, number) for number, place in enumerate(places))
     assert_sound(results)
     whole = [n for n, place in enumerate(places) if 0 <= place <= SHAPE[1] - SIDE]
     overlaps = [jaccard(results[n].labels > 0, truth(places[n])) for n in whole]

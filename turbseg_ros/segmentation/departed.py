@@ -80,9 +80,9 @@ class DepartedObjects:
         guarded = outline.dilated(_GUARD, shape)
         for other in window.key_frames(first):
             to_other = self._resolution.to_detail(transforms[other])
-            if other > first:
-                continue
-            if standing is None or _shows(window[other].scene, to_other, standing):
+            if other < first and (
+                standing is None or _shows(window[other].scene, to_other, standing)
+            ):
                 there = guarded.resampled(to_other, shape, cv2.INTER_NEAREST)
                 window.mark_objects(other, [there])
 

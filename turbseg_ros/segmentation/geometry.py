@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from turbseg_ros.arrays import Flow, Map, Matrix
+from turbseg_ros.arrays import Flow, Map, Matrix, Point
 
 _GRID = 8
 _SAMPLES = 2000
@@ -69,6 +69,13 @@ def corner_displacement(transform: Matrix, size: tuple[int, int]) -> float:
     width, height = size
     corners = np.array([[0, width, 0, width], [0, 0, height, height], [1, 1, 1, 1]])
     return float(np.abs((transform @ corners - corners)[:2]).max())
+
+
+def middle_displacement(transform: Matrix, size: tuple[int, int]) -> Point:
+    """Return by how much a transform moves the middle of a picture, width and height: (x, y)."""
+    middle = np.array([size[0] / 2, size[1] / 2, 1.0])
+    moved: Point = (transform @ middle - middle)[:2]
+    return moved
 
 
 def fit_affine_flow(flow: Flow, weights: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:

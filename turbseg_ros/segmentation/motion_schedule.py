@@ -11,6 +11,7 @@ from turbseg_ros.arrays import Mask
 from turbseg_ros.parameters import FlowParameters, Parameters
 from turbseg_ros.segmentation.average import LONG_BASELINE
 from turbseg_ros.segmentation.cropped_mask import CroppedMask
+from turbseg_ros.segmentation.geometry import middle_displacement
 from turbseg_ros.segmentation.look_ahead import LookAhead
 from turbseg_ros.segmentation.motion import MotionMeasure, next_interval
 from turbseg_ros.segmentation.motion_worker import MotionJob, MotionWorker
@@ -188,9 +189,7 @@ class MotionSchedule:
         motion = self._window.transform_if_continuous(source, target)
         if motion is None:
             return None
-        width, height = self._resolution.processing
-        middle = np.array([width / 2, height / 2, 1.0])
-        return float(np.hypot(*(motion @ middle - middle)[:2]))
+        return float(np.hypot(*middle_displacement(motion, self._resolution.processing)))
 
     def _unfollowed(self) -> Moving | None:
         """Return what was measured last, as it moved on, if nothing was cut out for a while."""

@@ -25,7 +25,7 @@ from turbseg_ros.segmentation.exposure import (
     exposure_between,
 )
 from turbseg_ros.segmentation.foreground import ObjectCrop, foreground_masks, object_crops
-from turbseg_ros.segmentation.geometry import translation
+from turbseg_ros.segmentation.geometry import middle_displacement, translation
 from turbseg_ros.segmentation.motion import MotionEstimate
 from turbseg_ros.segmentation.moving import Moving
 from turbseg_ros.segmentation.observer import StageObserver
@@ -231,24 +231,30 @@ class Outliner:
         if not self._looks_at_past:
             return []
         with self._observer.stage("what stands out"):
-            if moving.measured and not self._knows_past(index):
-                self._past_index = index
-                self._past = past_in(
-                    self._aligned_frames(index, moving), self._resolution.detail, tilt
-                )
-            goes_on = self._window.transform_if_continuous(self._past_index, index) is not None
-            if self._past is None or not goes_on:
-                return []
-            to_past = self._window.transform(index, self._past_index)
-            past = self._past.seen_from(self._resolution.to_detail(to_past))
-            return standing_areas(self._window[index].scene, past, looked_at)
+            past = self._past_at(index, moving, tilt)
+            return (
+                [] if past is None else standing_areas(self._window[index].scene, past, looked_at)
+            )
 
-    def _knows_past(self, index: int) -> bool:
-        """Whether the past is known as another frame sees it that lies near enough."""
-        if self._past is None or index - self._past_index >= _RENEWED:
-            return False
+    def _past_at(self, index: int, moving: Moving, tilt: float) -> Past | None:
+        """Return what the scene looked like before, as a frame sees it; None where not known.
+
+        It is taken anew where motion is measured, every so often or once the camera has moved.
+        """
         motion = self._window.transform_if_continuous(self._past_index, index)
-        return motion is not None and bool(np.abs(motion - np.eye(3)).max() < _SAME_VIEW)
+        if moving.measured and (
+            self._past is None
+            or motion is None
+            or index - self._past_index >= _RENEWED
+            or np.abs(motion - np.eye(3)).max() >= _SAME_VIEW
+        ):
+            views = self._aligned_frames(index, moving)
+            self._past, self._past_index = past_in(views, self._resolution.detail, tilt), index
+            return self._past
+        if self._past is None or motion is None:
+            return None
+        to_past = self._window.transform(index, self._past_index)
+        return self._past.seen_from(self._resolution.to_detail(to_past))
 
     def _aligned_frames(self, index: int, moving: Moving) -> list[AlignedFrame]:
         """Return the frames that show the scene at other times, as seen from this one.
@@ -278,10 +284,7 @@ class Outliner:
     def _turn(self, index: int) -> Point:
         """Return by how much the scene in the middle of a frame has moved since the one before."""
         motion = self._resolution.to_detail(self._window[index].from_previous)
-        width, height = self._resolution.detail
-        middle = np.array([width / 2, height / 2, 1.0])
-        turn: Point = (motion @ middle - middle)[:2]
-        return turn
+        return middle_displacement(motion, self._resolution.detail)
 
     def _exposure(self, source: int, target: int, to_source: Matrix) -> ColourExposure:
         """Return what takes the values of one frame to those of another, channel by channel."""

@@ -15,6 +15,7 @@ from turbseg_ros.segmentation.camera_state import CameraState
 from turbseg_ros.segmentation.clutter import enlarged
 from turbseg_ros.segmentation.cropped_mask import CroppedMask
 from turbseg_ros.segmentation.exposure import exposure_between
+from turbseg_ros.segmentation.geometry import corner_displacement
 from turbseg_ros.segmentation.preparation import PreparedFrame
 from turbseg_ros.segmentation.registration import align, visible
 
@@ -215,9 +216,8 @@ class FrameWindow:
     def _stands(self, centre: int, interval: int) -> bool:
         """Whether the camera stood, or nearly so, from one frame to another."""
         height, width = self._frames[centre].grey.shape
-        corners = np.array([[0, width, 0, width], [0, 0, height, height], [1, 1, 1, 1]])
-        moved = self.transform(centre, centre + interval) @ corners
-        return bool(np.abs(moved - corners)[:2].max() < _STANDS)
+        motion = self.transform(centre, centre + interval)
+        return corner_displacement(motion, (width, height)) < _STANDS
 
     def key_frames(self, centre: int) -> list[int]:
         """Return the indices of the frames that show the scene at other times than `centre`."""
