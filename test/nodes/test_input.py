@@ -37,8 +37,10 @@ LENS = ("-r", "image_raw:=/lens/image_raw")
 READY = (*LENS, "-p", "qos.reliability:=best_effort")
 
 
-def stub_node(output: Path, *ros_arguments: str) -> NodeProcess:
-    return NodeProcess(output, *ros_arguments, command=(sys.executable, str(STUB)))
+def stub_node(output: Path, *ros_arguments: str, cost: float = 0.0) -> NodeProcess:
+    """Return a node that takes so many seconds for an image, and nothing else."""
+    command = (sys.executable, str(STUB), "--cost", str(cost))
+    return NodeProcess(output, *ros_arguments, command=command)
 
 
 @pytest.fixture
@@ -236,6 +238,19 @@ def test_the_log_tells_of_start_first_image_enable_and_reset(tmp_path, probe):
     assert "frame_id 'camera'" in node.output
     # A busy machine may be silent for three seconds, and be told so.
     assert [line for line in lines(node, "[WARN]") if "no image on" not in line] == []
+
+
+def test_what_waited_while_the_node_was_disabled_is_not_its_first_image(tmp_path, probe):
+    remapping = ("-r", "__ns:=/waits", "-r", "image_raw:=/waits_lens/image_raw")
+    with stub_node(tmp_path / "output", *remapping, "-p", "queue_size:=20", cost=0.2) as node:
+        centroids = probe.listen("/waits/turbseg/centroids", MarkerArray)
+        camera = Camera(probe, "/waits_lens/image_raw", rate=30.0)
+        stamps = [camera.send(IMAGE) for _ in range(10)]
+        for wanted in (False, True):
+            probe.call("/waits/turbseg/enable", SetBool, SetBool.Request(data=wanted))
+        probe.wait_for(lambda: answered(centroids)[-1:] == stamps[-1:], "the last answer")
+        assert node.stop(signal.SIGINT) == 0
+    assert len(lines(node, "first image")) == 1
 
 
 @pytest.mark.parametrize(

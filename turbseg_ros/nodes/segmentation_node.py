@@ -92,8 +92,10 @@ class TurbsegNode(ReceivingNode):
             on_incomplete=lambda: self._statistics.count(Event.INCOMPLETE),
         )
         self._input_watch = InputWatch(self.get_logger())
-        self._awaits_first_image = True
         self._enabled = parameters.enabled
+        # How often it was enabled again, and the last such time whose first image was told of.
+        self._enabling = 0
+        self._told_enabling = -1
         self._demand = Demand()
         self._work: _Work | None = None
         self._taker = MessageTaker(self)
@@ -175,7 +177,7 @@ class TurbsegNode(ReceivingNode):
         return _Work(segmenter, worker)
 
     def _subscribe(self, worker: SegmentationWorker) -> MatchingSubscription:
-        parameters = self._parameter_handler.current
+        parameters, enabling = self._parameter_handler.current, self._enabling
         # Resolved first, so that remapping image_raw moves the compressed topic along.
         topic = self.resolve_topic_name("image_raw")
         if self._image_type is CompressedImage:
@@ -184,7 +186,7 @@ class TurbsegNode(ReceivingNode):
             self,
             self._image_type,
             topic,
-            worker.submit,
+            lambda serialised: worker.submit(_Heard(serialised, enabling)),
             taker=self._taker,
             depth=max(parameters.queue_size, _MIN_DEPTH),
             reliability=parameters.qos.reliability,
@@ -214,17 +216,17 @@ class TurbsegNode(ReceivingNode):
         self._results.publish(result)
         self._event_log.catch_up()
 
-    def _frame(self, serialised: memoryview) -> Frame:
+    def _frame(self, heard: _Heard) -> Frame:
         wanted = self._results.image_wanted
         # Of what nobody looks at, outlines need no more than their own resolution.
         enough = pixels_of(self._parameter_handler.current.resolution.detail)
         frame = frame_from_serialised(
-            serialised, self._image_type, enough=None if wanted else enough
+            heard.serialised, self._image_type, enough=None if wanted else enough
         )
-        if self._awaits_first_image:
-            self._awaits_first_image = False
+        if heard.enabling > self._told_enabling:
+            self._told_enabling = heard.enabling
             self.get_logger().info(
-                first_image_text(serialised, frame, self._image_type is CompressedImage)
+                first_image_text(heard.serialised, frame, self._image_type is CompressedImage)
             )
         return frame
 
@@ -252,7 +254,7 @@ class TurbsegNode(ReceivingNode):
 
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         if request.data and not self._enabled:
-            self._awaits_first_image = True
+            self._enabling += 1
             try:
                 self._resume()
             except ParameterError as error:
@@ -355,6 +357,17 @@ class TurbsegNode(ReceivingNode):
             waiting=work.worker.waiting if work else 0,
             device=work.segmenter.device if work else "none yet",
         )
+
+
+@dataclass(frozen=True)
+class _Heard:
+    """An image as it came, and how often the node had been enabled again by then.
+
+    One that waits while the node is disabled and enabled is not the first since.
+    """
+
+    serialised: memoryview
+    enabling: int
 
 
 @dataclass(frozen=True)
