@@ -22,8 +22,8 @@ _MIN_SAMPLES = 50
 _REFITS = 2
 # Pixels further off than so many median deviations show something else.
 _OUTLIERS = 4.0
-# Grey values that exposures may differ by and still count as one.
-_MIN_CHANGE = 2.0
+# Grey values, in the mean of squares, that exposures may differ by and still count as one.
+_MIN_CHANGE = 2.4
 # No change from one frame to another goes further; it is another scene.
 _MAX_GAIN = 3.0
 
@@ -158,10 +158,19 @@ def _exposure(x: Samples, y: Samples) -> Exposure:
     """Return what takes values to others, most of which show the same."""
     found = _median_line(x, y)
     for _ in range(_REFITS):
-        if upper_median(np.abs(x * (found.gain - 1.0) + found.offset)) < _MIN_CHANGE:
-            return AS_IT_IS
         found = _refitted(found, x, y)
+        if _change(found, x) < _MIN_CHANGE:
+            return AS_IT_IS
     return found if 1 / _MAX_GAIN < found.gain < _MAX_GAIN else AS_IT_IS
+
+
+def _change(exposure: Exposure, x: Samples) -> float:
+    """Return the root mean square of what an exposure adds to values.
+
+    The darkest and brightest count too: a gain that leaves the middle as it is changes them most.
+    """
+    added = x * (exposure.gain - 1.0) + exposure.offset
+    return float(np.sqrt(np.mean(np.square(added))))
 
 
 def _seem_alike(x: ByteImage, y: ByteImage, usable: ByteImage) -> bool:
