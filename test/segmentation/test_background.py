@@ -15,6 +15,7 @@ from turbseg_ros.segmentation.background import (
     Background,
     background_in,
     calm_background_in,
+    cut_out,
     deviation_from,
     difference_from,
 )
@@ -236,3 +237,30 @@ def test_a_still_scene_deviates_as_noise_does() -> None:
     background = background_in(WHOLE, views)
     deviation = deviation_from(background, views[3].scene.image[..., :-1], tilt=0.1)
     assert np.mean(deviation > 3.0) < 0.01
+
+
+@pytest.mark.parametrize("shape", [(61, 91), (243, 433), (1, 5)], ids=str)
+def test_pictures_of_odd_sizes_are_halved_in_place(shape: tuple[int, int]) -> None:
+    across = np.broadcast_to(np.arange(shape[1]) / 2, shape)
+    down = np.broadcast_to(np.arange(shape[0])[:, None] / 2, shape)
+    ramps = np.stack([across, down, across], axis=-1).astype(np.uint8)
+    halved = scene_behind(ramps, np.zeros(shape, bool)).half.image
+    rows, columns = -(-shape[0] // 2), -(-shape[1] // 2)
+    assert halved.shape[:2] == (rows, columns)
+    # A pixel lies between two, at twice its number and a half; greys are cut off to whole ones.
+    np.testing.assert_allclose(halved[..., 0], np.arange(columns)[None].repeat(rows, 0), atol=1)
+    np.testing.assert_allclose(halved[..., 1], np.arange(rows)[:, None].repeat(columns, 1), atol=1)
+
+
+def test_a_picture_is_sampled_where_it_is_at_every_size() -> None:
+    # The last but one row of a picture that halves to an odd number of rows.
+    shape = (246, 300)
+    ground = np.zeros((*shape, 1), np.uint8)
+    ground[240:] = 200
+    whole = Box(0, 0, shape[1], shape[0])
+    for ratio in (2, 3, 4, 6):
+        small = (shape[0] // ratio, shape[1] // ratio)
+        (seen,) = cut_out([view(ground, np.zeros(shape, bool))], whole, small)
+        column = seen.image[:, 5, 0].astype(float)
+        below = column[: small[0] - 1].sum() + 200.0
+        assert below == pytest.approx(200.0 * 6 / ratio, abs=60.0)

@@ -97,6 +97,25 @@ def test_a_scene_that_lies_aside_does_not_stand_out(empty_past: Past, shift: int
     assert standing(road(shift), empty_past) == []
 
 
+@pytest.mark.parametrize("row", [230, 330, 455])
+def test_a_thin_line_that_shimmers_does_not_stand_out(row: int) -> None:
+    # A kerb across a picture whose size, halved, is odd.
+    ground = np.full((486, 864, 3), 90, np.uint8)
+    ground[row : row + 4] = 200
+    random = np.random.default_rng(row)
+
+    def shimmering() -> ByteImage:
+        aside = translation(0.0, random.normal(0.0, 0.5))[:2]
+        return cv2.warpAffine(ground, aside, (864, 486), borderMode=cv2.BORDER_REPLICATE)
+
+    nothing = np.zeros(ground.shape[:2], bool)
+    views = [AlignedFrame(scene_behind(shimmering(), nothing), np.eye(3)) for _ in range(9)]
+    before = past_in(views, (864, 486), tilt=0.5)
+    assert before is not None
+    for _ in range(20):
+        assert standing_areas(scene_behind(shimmering(), nothing), before, nothing) == []
+
+
 def test_another_scene_has_no_objects(empty_past: Past) -> None:
     assert standing(255 - road(), empty_past) == []
 

@@ -55,9 +55,14 @@ class MaskedImage:
 
     @functools.cached_property
     def half(self) -> MaskedImage:
-        """The same at half the size."""
-        size = (max(self.image.shape[1] // 2, 1), max(self.image.shape[0] // 2, 1))
-        return MaskedImage(cv2.resize(self.image, size, interpolation=cv2.INTER_AREA))
+        """The same at half the size, rounded up: each pixel is the mean of four."""
+        image = self.image
+        odd_row, odd_column = image.shape[0] % 2, image.shape[1] % 2
+        if odd_row or odd_column:
+            border = cv2.BORDER_REPLICATE
+            image = cv2.copyMakeBorder(image, 0, odd_row, 0, odd_column, borderType=border)
+        size = (image.shape[1] // 2, image.shape[0] // 2)
+        return MaskedImage(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ from turbseg_ros.segmentation.background import (
     AlignedFrame,
     MaskedImage,
     calm_background_in,
+    cut_out,
     without_last,
 )
 from turbseg_ros.segmentation.cropped_mask import EMPTY_MASK, Box, CroppedMask
@@ -147,7 +148,10 @@ def standing_areas(scene: MaskedImage, past: Past, looked_at: Mask) -> list[Movi
     :param looked_at: HxW, where objects are looked for anyway.
     """
     reduced = past.shape[::-1]
-    small = without_last(_shrunk(scene.image, reduced))
+    whole = Box(0, 0, *past.frame)
+    # Sampled as the past is: edges would differ otherwise.
+    (sampled,) = cut_out([AlignedFrame(scene, np.eye(3))], whole, past.shape)
+    small = without_last(sampled.image)
     elsewhere = cv2.resize(looked_at.view(np.uint8), reduced, interpolation=cv2.INTER_NEAREST)
     return [
         MovingArea(
@@ -159,18 +163,6 @@ def standing_areas(scene: MaskedImage, past: Past, looked_at: Mask) -> list[Movi
         for blob in _blobs(*_standing_out(small, past), elsewhere > 0)
         if not _is_scene_aside(small, past, blob.box)
     ]
-
-
-def _shrunk(image: ByteImage, size: tuple[int, int]) -> ByteImage:
-    """Return an image at a smaller size (width, height).
-
-    OpenCV halves pictures many times as fast as it averages over fractions of pixels; where a side
-    is odd, pixels interpolated halfway between others are their mean, too.
-    """
-    while min(image.shape[1] / size[0], image.shape[0] / size[1]) >= 2.0:
-        half = (image.shape[1] // 2, image.shape[0] // 2)
-        image = cv2.resize(image, half, interpolation=cv2.INTER_LINEAR)
-    return cv2.resize(image, size, interpolation=cv2.INTER_LINEAR)
 
 
 def _standing_out(image: ByteImage, past: Past) -> tuple[Mask, Mask]:
