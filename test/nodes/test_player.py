@@ -91,14 +91,17 @@ def test_the_recorded_qos_is_what_all_recorded_publishers_offered():
     assert recorded_qos(topic_of()) == lossless_qos(topic_of())
 
 
+def recorded_pictures():
+    """Return what the bag's images show."""
+    return np.random.default_rng(0).integers(0, 255, (FRAMES, 480, 640), np.uint8)
+
+
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("play") / "bag"
-    rng = np.random.default_rng(0)
     with BagWriter(path) as writer:
-        for i in range(FRAMES):
+        for i, image in enumerate(recorded_pictures()):
             stamp = 5 * SECOND + i * PERIOD
-            image = rng.integers(0, 255, (480, 640), np.uint8)
             writer.write(IMAGES, message_from_image(image, "mono8", stamp, "camera"), stamp)
             writer.write("/ground_truth/labels", Image(), stamp)
             writer.write("/chatter", String(data=f"word {i}"), stamp)
@@ -137,11 +140,8 @@ def test_every_message_arrives_unchanged(play, probe):
     assert [stamp_to_ns(image.header.stamp) for image in images] == [
         5 * SECOND + i * PERIOD for i in range(FRAMES)
     ]
-    rng = np.random.default_rng(0)
-    for image in images:
-        np.testing.assert_array_equal(
-            image_from_message(image), rng.integers(0, 255, (480, 640), np.uint8)
-        )
+    shown = [image_from_message(image) for image in images]
+    np.testing.assert_array_equal(shown, recorded_pictures())
 
 
 def test_it_plays_as_many_times_faster_as_asked(play, probe):
@@ -226,8 +226,14 @@ def test_a_loop_goes_on_in_time(play, probe):
     probe.wait_for(lambda: len(images) > 3 * FRAMES and truths, "three rounds")
     process.send_signal(signal.SIGINT)
     stamps = [stamp_to_ns(image.header.stamp) for image in images]
-    # The step from the last frame to the first is the usual one.
-    assert np.diff(stamps).tolist() == [PERIOD] * (len(stamps) - 1)
+    assert stamps == sorted(set(stamps))
+    # The step from the last frame to the first is the usual one. Of images that come this fast, a
+    # listener on a busy machine may miss some.
+    pictures = recorded_pictures()
+    for stamp, image in zip(stamps, images, strict=True):
+        number, off = divmod(stamp - 5 * SECOND, PERIOD)
+        assert off == 0
+        np.testing.assert_array_equal(image_from_message(image), pictures[number % FRAMES])
     # A stamp of 0 is none.
     assert {stamp_to_ns(truth.header.stamp) for truth in truths} == {0}
     times = [stamp_to_ns(tick.clock) for tick in ticks]
@@ -245,11 +251,8 @@ def test_messages_are_stamped_with_the_time_of_publishing(play, probe):
     assert began < stamps[0]
     assert stamps == sorted(set(stamps))
     assert stamps[-1] < time.time_ns()
-    rng = np.random.default_rng(0)
-    for image in images[:FRAMES]:
-        np.testing.assert_array_equal(
-            image_from_message(image), rng.integers(0, 255, (480, 640), np.uint8)
-        )
+    shown = [image_from_message(image) for image in images[:FRAMES]]
+    np.testing.assert_array_equal(shown, recorded_pictures())
 
 
 def test_what_was_taken_at_one_time_is_so_when_stamped_anew(tmp_path, probe):
