@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from turbseg_ros.arrays import Flow, Map, Mask, Matrix
-from turbseg_ros.segmentation.cropped_mask import CroppedMask, union_mask
+from turbseg_ros.segmentation.cropped_mask import CroppedMask
 from turbseg_ros.segmentation.geometry import corner_displacement, scaling
 
 CELL = 4
@@ -138,8 +138,11 @@ def cells_of_objects(
     height, width = cells_of(shape)
     if not objects:
         return np.zeros((height, width), bool)
-    held = union_mask(objects, size[::-1]).view(np.uint8) * np.uint8(255)
-    held = cv2.resize(held, (width, height), interpolation=cv2.INTER_AREA)
+    held = np.zeros((height, width), np.uint8)
+    for outline in objects:
+        rows, columns = np.nonzero(outline.mask)
+        rows, columns = rows + outline.box.y0, columns + outline.box.x0
+        held[rows * height // size[1], columns * width // size[0]] = 1
     return cv2.dilate(held, np.ones((5, 5), np.uint8)) > 0
 
 

@@ -217,9 +217,15 @@ class Place:
 
     def _shown(self, image: ByteImage) -> ByteImage:
         """Return what a frame shows there, hxwxC."""
-        transform = (self._to_place @ self.to_reference)[:2]
+        to_place = self._to_place @ self.to_reference
         height, width = self._shape
-        shown = cv2.warpAffine(image, transform, (width, height), flags=cv2.INTER_LINEAR)
+        to_frame = np.asarray(np.linalg.inv(to_place))
+        there = Box(0, 0, width, height).transformed(to_frame, image.shape)
+        shown = np.zeros_like(self.picture)
+        if 0 not in there.shape:
+            # OpenCV copies all of a picture whose channels are a part of another's.
+            cut, from_cut = image[there.slices], to_place @ translation(there.x0, there.y0)
+            shown = cv2.warpAffine(cut, from_cut[:2], (width, height), flags=cv2.INTER_LINEAR)
         return np.asarray(shown.reshape(self.picture.shape), np.uint8)
 
     def _visible(self, image: ByteImage) -> Mask:

@@ -43,8 +43,9 @@ _REGISTRATION, _SHIMMER = 1.0, 0.05
 # Standard deviations by which what lies beside something that surely stands out belongs to it; the
 # other does by twice as much, in that many pixels of the reduced size.
 _ALSO, _MIN_SURE = 3.0, 4
-# Transforms that differ by less are the same; what lies out of view differs by nothing.
-_SAME, _UNSEEN_DARK, _UNSEEN_BRIGHT = 1e-3, (0, 0, 0), (255, 255, 255)
+# Pixels at detail resolution by which a past that lies aside is taken as it is; what lies out of
+# view differs by nothing.
+_SAME, _UNSEEN_DARK, _UNSEEN_BRIGHT = 0.25, (0, 0, 0), (255, 255, 255)
 # Share of the picture above which it isn't an object that stands out: the past doesn't fit.
 _MOST = 0.4
 # Areas that are proposed, the largest.
@@ -83,7 +84,7 @@ class Past:
 
         :param to_frame: takes the other frame's pixels to the frame's.
         """
-        if np.abs(to_frame - np.eye(3)).max() < _SAME:
+        if corner_displacement(to_frame, self.frame) < _SAME:
             return self
         height, width = self.shape
         to_reduced = scaling(width / self.frame[0], height / self.frame[1])
