@@ -23,6 +23,7 @@ from support.node_harness import (
     Camera,
     NodeProcess,
     Probe,
+    figures,
     stamps_of,
     texture,
 )
@@ -242,10 +243,13 @@ def test_the_log_tells_of_start_first_image_enable_and_reset(tmp_path, probe):
 
 def test_what_waited_while_the_node_was_disabled_is_not_its_first_image(tmp_path, probe):
     remapping = ("-r", "__ns:=/waits", "-r", "image_raw:=/waits_lens/image_raw")
-    with stub_node(tmp_path / "output", *remapping, "-p", "queue_size:=20", cost=0.2) as node:
+    with stub_node(tmp_path / "output", *remapping, "-p", "queue_size:=20", cost=0.5) as node:
         centroids = probe.listen("/waits/turbseg/centroids", MarkerArray)
+        diagnostics = probe.listen("/diagnostics", DiagnosticArray)
         camera = Camera(probe, "/waits_lens/image_raw", rate=30.0)
-        stamps = [camera.send(IMAGE) for _ in range(10)]
+        stamps = [camera.send(IMAGE) for _ in range(8)]
+        # What is still under way when the node is disabled never comes.
+        probe.wait_for(lambda: figures(diagnostics)["images received"] == "8", "all images")
         for wanted in (False, True):
             probe.call("/waits/turbseg/enable", SetBool, SetBool.Request(data=wanted))
         probe.wait_for(lambda: answered(centroids)[-1:] == stamps[-1:], "the last answer")
