@@ -117,8 +117,14 @@ def test_a_reader_that_goes_away_is_no_traceback():
     assert (errors, status) == ("", 128 + signal.SIGPIPE)
 
 
+@pytest.mark.parametrize("seconds", [0.0, 0.01])
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_an_interruption_that_python_lost_comes_again(number: signal.Signals) -> None:
+def test_an_interruption_that_python_lost_comes_again(
+    number: signal.Signals, seconds: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # At once means on a busy machine: while it is being looked at that it was lost.
+    monkeypatch.setattr("turbseg_ros.cli.errors._REPEAT_SECONDS", seconds)
+
     class Thing:
         pass
 

@@ -11,8 +11,9 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from types import FrameType
+from types import CodeType, FrameType
 from typing import NoReturn, Protocol, TypeVar
 
 from turbseg_ros.bag.errors import BagError
@@ -165,24 +166,57 @@ def _lost_interruptions_repeated() -> Iterator[None]:
     Such places are callbacks of weak references, which thread pools have, and `__del__`.
     """
     before = sys.unraisablehook
+    repeats: list[_Repeat] = []
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        # Here, too, the exception would be lost.
+        if not _runs(look.__code__, frame):
+            repeats[-1].answered = True
+            _interrupt(number, frame)
 
     def look(lost: sys.UnraisableHookArgs) -> None:
         if not isinstance(lost.exc_value, Interrupted):
             before(lost)
             return
-        number = int(lost.exc_value.code or 0) - 128
+        repeats.append(_Repeat(int(lost.exc_value.code or 0) - 128))
         for stop in _STOP_SIGNALS:
-            signal.signal(stop, _interrupt)
-        # By then, the callback has most likely ended.
-        again = threading.Timer(_REPEAT_SECONDS, os.kill, (os.getpid(), number))
-        again.daemon = True
-        again.start()
+            signal.signal(stop, interrupt)
+        repeats[-1].start()
 
     sys.unraisablehook = look
     try:
         yield
     finally:
         sys.unraisablehook = before
+        for repeat in repeats:
+            repeat.answered = True
+            repeat.join()
+
+
+class _Repeat(threading.Thread):
+    """Sends a signal to the process again and again until it was `answered`.
+
+    No lock guards that: the handler that answers may itself be interrupted.
+    """
+
+    def __init__(self, number: int) -> None:
+        super().__init__(daemon=True)
+        self.answered = False
+        self._number = number
+
+    def run(self) -> None:
+        """Send it, each time a moment later."""
+        while not self.answered:
+            time.sleep(_REPEAT_SECONDS)
+            if not self.answered:
+                os.kill(os.getpid(), self._number)
+
+
+def _runs(code: CodeType, frame: FrameType | None) -> bool:
+    """Whether a frame, or one that it was called from, runs a function's code."""
+    while frame is not None and frame.f_code is not code:
+        frame = frame.f_back
+    return frame is not None
 
 
 def refuse_without(name: str, error: ImportError) -> int:
