@@ -10,11 +10,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rclpy.duration import Duration
+from rclpy.publisher import Publisher
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Image
 from visualization_msgs.msg import Marker, MarkerArray
 
-from support.node_harness import RELIABLE, Camera, NodeProcess, Probe, texture
+from support.node_harness import RELIABLE, TIMEOUT, Camera, NodeProcess, Probe, texture
 from turbseg_ros.bag.reader import BagReader
 from turbseg_ros.cli import record
 from turbseg_ros.messages.images import message_from_image
@@ -34,6 +36,12 @@ def record_command(out: Path, post_roll: int) -> list[str]:
     """Return what records before and after objects of the test's own node, to a folder."""
     command = [sys.executable, "-m", "turbseg_ros.cli", "record", "-o", str(out)]
     return [*command, "--node", "/probe", "--pre-roll", "600", "--post-roll", str(post_roll)]
+
+
+def wait_until_heard(*publishers: Publisher) -> None:
+    """Wait until all that was published has come to those who listen, who may not have read it."""
+    for publisher in publishers:
+        assert publisher.wait_for_all_acked(Duration(seconds=TIMEOUT))
 
 
 def test_a_bag_begins_before_an_object_and_ends_after_it(tmp_path: Path, probe: Probe) -> None:
@@ -94,10 +102,28 @@ def test_a_camera_that_comes_after_the_recorder_is_recorded_from_its_first_image
             camera.publish(IMAGE)
         centroids.publish(OBJECT)
         probe.wait_for(lambda: f"{out}/" in recorder.output, "the bag to begin")
+        wait_until_heard(camera, centroids)
         assert recorder.stop(signal.SIGINT) == 0
     (bag,) = out.iterdir()
     counts = Counter(message.topic for message in BagReader(bag).messages())
     assert counts == {"/lens/image_raw": 10, "/probe/centroids": 1}
+
+
+def test_what_has_come_when_the_recorder_is_stopped_is_recorded(
+    tmp_path: Path, probe: Probe
+) -> None:
+    out = tmp_path / "out"
+    centroids = probe.advertise("/probe/centroids", MarkerArray, heard=False)
+    with NodeProcess(tmp_path / "log", command=record_command(out, post_roll=600)) as recorder:
+        probe.wait_for(lambda: centroids.get_subscription_count() == 2, "both subscriptions")
+        # No more than the publisher keeps until they are heard.
+        for _ in range(RELIABLE.depth):
+            centroids.publish(OBJECT)
+        wait_until_heard(centroids)
+        assert recorder.stop(signal.SIGINT) == 0
+    (bag,) = out.iterdir()
+    counts = Counter(message.topic for message in BagReader(bag).messages())
+    assert counts == {"/probe/centroids": RELIABLE.depth}
 
 
 def test_a_camera_that_offers_less_than_the_node_asks_for_is_recorded_all_the_same(

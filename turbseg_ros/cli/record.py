@@ -45,6 +45,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             recorder = EpisodeRecorder(episodes, _full_name(options.node), options.topics)
             while not stop.received:
                 recorder.spin_once(_STEP)
+            recorder.take_waiting()
             recorder.destroy_node()
             episodes.close()
         finally:

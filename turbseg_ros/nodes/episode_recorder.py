@@ -26,6 +26,8 @@ from turbseg_ros.throttle import ThrottledLogger
 _LOOK_PERIOD = 0.2
 # Messages that may wait in the middleware.
 _DEPTH = 100
+# Turns in which nothing waited after which nothing does: one may go to rclpy's own affairs.
+_IDLE_TURNS = 3
 # What is recorded of a node unless topics are named: what it says in few bytes, and its input.
 _SMALL_RESULTS = {
     "centroids": "visualization_msgs/msg/MarkerArray",
@@ -88,6 +90,8 @@ class EpisodeRecorder(Node):  # type: ignore[misc]  # rclpy is read as untyped
         self._result_types[_DIAGNOSTICS] = _DIAGNOSTICS_TYPE
         self._heard: dict[str, tuple[_Offer, Subscription]] = {}
         self._published: set[str] = set()
+        # How often anything was called, by which it shows whether anything waited.
+        self._calls = 0
         self._throttled = ThrottledLogger(self.get_logger(), period=60.0)
         self.create_subscription(
             MarkerArray,
@@ -107,11 +111,24 @@ class EpisodeRecorder(Node):  # type: ignore[misc]  # rclpy is read as untyped
         """
         self._spinner.spin_once(timeout_sec=timeout)
 
+    def take_waiting(self) -> None:
+        """Take all that has come by now, before it is the last.
+
+        :raises BagError: when it can't be written.
+        """
+        idle = 0
+        while idle < _IDLE_TURNS:
+            before = self._calls
+            self.spin_once(0.0)
+            idle = idle + 1 if self._calls == before else 0
+
     def _watch(self, markers: MarkerArray) -> None:
+        self._calls += 1
         if any(marker.action == Marker.ADD for marker in markers.markers):
             self._episodes.happens(time.time_ns())
 
     def _look(self) -> None:
+        self._calls += 1
         self._episodes.end_if_over(time.time_ns())
         for topic in sorted(self._wanted()):
             publishers = self.get_publishers_info_by_topic(topic)
@@ -182,4 +199,5 @@ class EpisodeRecorder(Node):  # type: ignore[misc]  # rclpy is read as untyped
         )
 
     def _record(self, topic: str, type_name: str, cdr: bytes) -> None:
+        self._calls += 1
         self._episodes.write(Record(topic, type_name, time.time_ns(), cdr))
