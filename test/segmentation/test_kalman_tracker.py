@@ -178,6 +178,18 @@ def test_what_stands_out_is_not_taken_for_something_of_another_size(
     assert len({id(observation.track) for observation in found}) == tracks
 
 
+@pytest.mark.parametrize(("aside", "same"), [(0, True), (20, False)])
+def test_an_object_out_of_sight_is_not_taken_for_something_large_that_moves_beside_it(
+    aside: int, same: bool
+) -> None:
+    tracker = tracker_of()
+    before = follow(tracker, range(12), (50, 60), (3, 0)).track
+    wait(tracker, 3)
+    large = seen(50 + 3 * 15, 60 + aside, width=120, height=60, velocity=(3.0, 0.0))
+    after = only(update(tracker, [large]))
+    assert (after.track is before) == same
+
+
 def test_what_wanders_along_the_border_never_becomes_an_object() -> None:
     # To and fro by 5 pixels a frame, and down by one in two.
     tracker = tracker_of()

@@ -60,6 +60,9 @@ _UNTOLD_HITS = 1
 # Frames without an object after which it is out of sight, pixels a frame from which it then goes
 # on, and the share of its speed by which what moves otherwise is none of it.
 _LOST, _PASSING, _OTHER_SPEED = 2, 0.5, 0.5
+# Times by which the area of what moves elsewhere may differ from that of an object out of sight,
+# and the area in detail pixels up to which all are alike.
+_OTHER_AREA, _FEW_PIXELS = 4.0, 50
 # Standard deviations that a lost object may be off its expected place, and by what its area, at
 # most times as large, and its colour, in grey values, may differ when it is found again.
 _SURE, _SIZES, _COLOURS = 3.0, 3.0, 40.0
@@ -471,6 +474,17 @@ def _passes_on(track: Track, detection: Detection) -> bool:
     return speed > _PASSING and change > _OTHER_SPEED * speed
 
 
+def _is_of_other_size(track: Track, detection: Detection) -> bool:
+    """Whether what moves beside where an object out of sight should be is too large or small.
+
+    What flow doesn't show may be outlined in part.
+    """
+    if track.misses < _LOST or not detection.flow_known or track.intersection_area(detection):
+        return False
+    areas = track.detection.area, detection.area
+    return max(areas) > _OTHER_AREA * max(min(areas), _FEW_PIXELS)
+
+
 def _hides(track: Track, detection: Detection) -> bool:
     """Whether a detection where an object stood is another one, which may be before it."""
     return track.stood and track.shape_iou(detection) < _MIN_SHAPE_IOU
@@ -503,8 +517,12 @@ def _cost(track: Track, detection: Detection, tilt: float) -> float:
         return _SAME_TARGET if detection.stands == track.id else _UNMATCHABLE
     if track.targets & detection.targets:
         return _SAME_TARGET
-    is_other = _may_be_noise(track, detection) or _passes_on(track, detection)
-    if is_other or _hides(track, detection):
+    if (
+        _may_be_noise(track, detection)
+        or _passes_on(track, detection)
+        or _is_of_other_size(track, detection)
+        or _hides(track, detection)
+    ):
         return _UNMATCHABLE
     height, width = track.detection.box.shape
     other_height, other_width = detection.box.shape
