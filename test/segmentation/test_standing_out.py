@@ -97,6 +97,27 @@ def test_a_scene_that_lies_aside_does_not_stand_out(empty_past: Past, shift: int
     assert standing(road(shift), empty_past) == []
 
 
+LIT = (slice(5, 50), slice(100, 180))
+
+
+@pytest.mark.parametrize(("gain", "offset"), [(0.5, 0), (0.6, 90), (1.0, 40)])
+def test_a_scene_in_another_light_does_not_stand_out(
+    empty_past: Past, gain: float, offset: int
+) -> None:
+    image = road()
+    image[LIT] = np.clip(gain * image[LIT] + offset, 0, 255).astype(np.uint8)
+    assert standing(image, empty_past) == []
+
+
+def test_what_hides_a_scene_stands_out_whatever_it_looks_like(empty_past: Past) -> None:
+    image = road()
+    other = texture((45, 80), seed=8, grain=3.0)
+    image[LIT] = cv2.merge([other] * 3)
+    assert standing(image, empty_past)
+    image[LIT] = 20
+    assert standing(image, empty_past)
+
+
 @pytest.mark.parametrize("row", [230, 330, 455])
 def test_a_thin_line_that_shimmers_does_not_stand_out(row: int) -> None:
     # A kerb across a picture whose size, halved, is odd.

@@ -3,8 +3,9 @@
 Optical flow misses what goes further from frame to frame than it follows, and what is plain or
 lies before a plain scene. But a scene that was seen without it tells: each frame is compared, at
 a reduced size, with the median of others. What always changes, such as leaves and water, edges
-that jitter, and a scene that lies aside are explained away; at what differs all the same outlines
-are looked for. Whether it travels, and so is an object, the tracker finds out.
+that jitter, and a scene that lies aside or in another light are explained away; at what differs
+all the same outlines are looked for. Whether it travels, and so is an object, the tracker finds
+out.
 """
 
 from __future__ import annotations
@@ -55,6 +56,9 @@ _LOOKED_AT = 0.6
 # Pixels of the reduced size by which the scene may lie aside, and the share of the squared
 # difference that is left then.
 _ASIDE, _EXPLAINED = 3, 0.25
+# Correlation of grey values from which on the scene itself is seen in another light, in that many
+# pixels of the reduced size, which must vary by so many grey values.
+_SAME_SCENE, _MIN_PIXELS, _MIN_CONTRAST = 0.8, 9, 3.0
 # Pixels of the reduced size by which an area is larger than what stands out.
 _MARGIN = 2
 
@@ -163,6 +167,7 @@ def standing_areas(scene: MaskedImage, past: Past, looked_at: Mask) -> list[Movi
         )
         for blob in _blobs(*_standing_out(small, past), elsewhere > 0)
         if not _is_scene_aside(small, past, blob.box)
+        and not _is_scene_in_other_light(small, past, blob)
     ]
 
 
@@ -216,3 +221,19 @@ def _is_scene_aside(image: ByteImage, past: Past, box: Box) -> bool:
     there = scene[around.y0 : around.y1 + 2 * _ASIDE, around.x0 : around.x1 + 2 * _ASIDE]
     difference = cv2.matchTemplate(there, image[around.slices], cv2.TM_SQDIFF)
     return bool(difference.min() < _EXPLAINED * difference[_ASIDE, _ASIDE])
+
+
+def _is_scene_in_other_light(image: ByteImage, past: Past, blob: CroppedMask) -> bool:
+    """Whether the scene, brighter or darker than it was, is what stands out.
+
+    So it is in the shadow of a cloud, in a beam, or when a burnt-in banner that lets it through
+    comes or fades.
+    """
+    # The light changes within its rim.
+    inside = blob.eroded(1, past.shape)
+    here, before = (
+        values[inside.box.slices][inside.mask].mean(axis=-1) for values in (image, past.median)
+    )
+    if here.size < _MIN_PIXELS or min(here.std(), before.std()) < _MIN_CONTRAST:
+        return False
+    return float(np.corrcoef(here, before)[0, 1]) > _SAME_SCENE
