@@ -17,11 +17,6 @@ SIDE, TOP = 24, 48
 NOWHERE = -100
 
 
-# A helicopter: its body flies at one pixel a frame, its tail is plain.
-AIR = (160, 432)
-BODY, TAIL = (slice(60, 88), 40), (slice(70, 77), 75)
-
-
 def image(place: int, seed: int) -> ByteImage:
     """Draw a square at a place along x before a textured ground, with the noise of a camera."""
     drawn = np.pad(texture(SHAPE, seed=1).astype(np.float32), ((0, 0), (100, 100)))
@@ -58,23 +53,3 @@ def test_what_goes_faster_than_flow_follows_is_outlined_whole(
     assert np.mean(overlaps) > least
     # An object and no ghost of it.
     assert all(len(result.objects) <= 1 for result in results)
-
-
-def helicopter(place: int, seed: int) -> ByteImage:
-    """Draw one whose nose is at a place along x, with the noise of a camera."""
-    drawn = 140.0 + texture(AIR, seed=1).astype(np.float32) / 25
-    drawn[BODY[0], place : place + BODY[1]] = texture((28, 40), seed=2, low=10, high=70)
-    drawn[TAIL[0], place + BODY[1] : place + BODY[1] + TAIL[1]] = 60.0
-    noise = np.random.default_rng(seed).normal(0.0, 1.5, AIR)
-    return np.clip(drawn + noise, 0, 255).astype(np.uint8)
-
-
-def test_what_seems_to_stand_of_a_known_object_is_not_cut_off() -> None:
-    places = range(250, 160, -1)
-    results = segmented(helicopter(place, number) for number, place in enumerate(places))
-    assert_sound(results)
-    tails = [
-        np.mean(result.labels[TAIL[0], place + BODY[1] + 5 : place + BODY[1] + TAIL[1]] > 0)
-        for result, place in zip(results, places, strict=True)
-    ]
-    assert np.mean(tails[15:]) > 0.95

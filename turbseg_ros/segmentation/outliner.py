@@ -57,8 +57,8 @@ _COVERS = 12
 # Frames after which the past is seen anew, and how many pixels the camera may move meanwhile: what
 # a moving one brings into view is known sooner then.
 _RENEWED, _SAME_VIEW = 8, 1.0
-# Share of a known object that must be looked at anyway; else the rest of it would be cut off.
-_LOOKED_AT = 0.97
+# A known object counts as resting when motion was found on less than this share of it.
+_RESTING = 0.6
 # Share of an outline from which on it is what stands out, and no flow tells its velocity.
 _STANDING = 0.5
 
@@ -183,7 +183,7 @@ class Outliner:
 
         def crops() -> Sequence[ObjectCrop]:
             with self._observer.stage("crops"):
-                areas = [*moving.areas, *proposed, *_areas_of_known(known, looked_at)]
+                areas = [*moving.areas, *proposed, *_resting_areas(known, looked_at)]
                 # With nothing to look at, the scene at other times need not be aligned.
                 views = self._aligned_frames(index, moving) if areas else []
                 before = self._stopped.views()
@@ -388,12 +388,12 @@ def _shows_whole(expected: CroppedMask, mask: CroppedMask, frame: Mask) -> bool:
     return common > max(_KNOWN * mask.area, _WHOLE * expected.area)
 
 
-def _areas_of_known(expected: Sequence[CroppedMask], looked_at: Mask) -> list[MovingArea]:
-    """Return where known objects should be that are not looked at as a whole anyway."""
+def _resting_areas(expected: Sequence[CroppedMask], moving: Mask) -> list[MovingArea]:
+    """Return where known objects should be that no motion was found for."""
     return [
-        MovingArea(mask.dilated(GUARD + 1, looked_at.shape), EMPTY_MASK, EMPTY_MASK, (0.0, 0.0))
+        MovingArea(mask.dilated(GUARD + 1, moving.shape), EMPTY_MASK, EMPTY_MASK, (0.0, 0.0))
         for mask in expected
-        if mask.intersection_area(looked_at) < _LOOKED_AT * mask.area
+        if mask.intersection_area(moving) < _RESTING * mask.area
     ]
 
 
