@@ -58,7 +58,7 @@ _LOOKED_AT = 0.6
 _ASIDE, _EXPLAINED = 3, 0.25
 # Correlation of grey values from which on the scene itself is seen in another light, in that many
 # pixels of the reduced size, which must vary by so many grey values.
-_SAME_SCENE, _MIN_PIXELS, _MIN_CONTRAST = 0.8, 9, 3.0
+_SAME_SCENE, _MIN_PIXELS, _MIN_CONTRAST = 0.95, 9, 3.0
 # Pixels of the reduced size by which an area is larger than what stands out.
 _MARGIN = 2
 
