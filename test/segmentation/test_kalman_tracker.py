@@ -7,16 +7,18 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from support.drawn_scene import jaccard
+from turbseg_ros.arrays import ByteImage
 from turbseg_ros.segmentation.cropped_mask import Box
 from turbseg_ros.segmentation.kalman_tracker import KalmanTracker
 from turbseg_ros.segmentation.kmeans_ids import KMeansIds, kmeans_ids
-from turbseg_ros.segmentation.track import Detection, Observation, joined
+from turbseg_ros.segmentation.track import Detection, Observation, Track, joined
 
 STILL_CAMERA = np.eye(3)
 CONFIRMATION, MAX_AGE, SLOTS = 4, 10, 3
@@ -801,3 +803,55 @@ def test_a_clip_that_is_forgotten_gets_no_ids() -> None:
     unifier.settle()
     assert not observation.track.confirmed
     assert unifier.next_id == 1
+
+
+def textured(height: int, width: int, seed: int) -> ByteImage:
+    noise = np.random.default_rng(seed).uniform(0.0, 255.0, (height, width)).astype(np.float32)
+    return np.asarray(cv2.GaussianBlur(noise, (0, 0), 1.5), np.uint8)
+
+
+def passing_car(frame: int, *, beside: int, speed: int = 9) -> tuple[Detection, ByteImage]:
+    """What no flow shows to move, outlined with its shadow in some frames, and that frame."""
+    x, y, (height, width), shadow = 60 + frame * speed, 100, (24, 30), 30
+    image = np.full((240, 640), 150, np.uint8)
+    image[y : y + height, x : x + width] = textured(height, width, 2)
+    image[y + height // 2 : y + height, x - shadow : x] = 90
+    left = x - (beside if frame % 2 else 0)
+    box = Box(left, y, x + width, y + height)
+    mask = np.ones(box.shape, bool)
+    mask[: height // 2, : x - left] = False
+    return Detection(box, mask, (0.0, 0.0), True, flow_known=False), image[..., None]
+
+
+@pytest.mark.parametrize("beside", [0, 30], ids=["alone", "with its shadow now and then"])
+def test_what_flow_does_not_show_to_move_is_followed_by_its_picture(beside: int) -> None:
+    tracker = tracker_of()
+    for frame in range(9):
+        detection, image = passing_car(frame, beside=beside)
+        observation = only(tracker.update([detection], STILL_CAMERA, 0.1, image))
+    assert observation.track.id == 1
+    np.testing.assert_allclose(observation.velocity, (9.0, 0.0), atol=1.5)
+
+
+def test_one_wrong_step_of_its_picture_is_no_way() -> None:
+    detection, _ = passing_car(0, beside=0)
+    track = Track.started(detection, 0.1)
+    track.hits = 5
+    track.steps = [np.array(step) for step in [(0.2, 0.0), (-0.1, 0.2), (14.0, 1.0), (0.1, -0.2)]]
+    assert track.stepped is not None
+    displacement, path_length = track.stepped
+    assert displacement < 1.0
+    assert path_length > 14.0
+
+
+def test_a_picture_from_before_a_frame_that_was_not_looked_at_is_not_looked_for() -> None:
+    tracker = tracker_of()
+    for frame in range(9):
+        detection, image = passing_car(frame, beside=0)
+        track = only(tracker.update([detection], STILL_CAMERA, 0.1, image)).track
+    assert track.template is not None
+    tracker.coast(STILL_CAMERA, (240, 640))
+    assert track.template is None
+    detection, image = passing_car(10, beside=0)
+    assert only(tracker.update([detection], STILL_CAMERA, 0.1, image)).track is track
+    np.testing.assert_allclose(track.velocity, (9.0, 0.0), atol=1.5)

@@ -182,6 +182,7 @@ class KalmanTracker:
         """
         for track in self._tracks:
             track.propagate(ego_motion)
+            track.follow(image, ego_motion)
         self._propagate_places(ego_motion)
         hidden = self._hidden(detections)
         detections = [detection for detection in detections if not detection.hidden]
@@ -207,6 +208,9 @@ class KalmanTracker:
         seen = {id(observation.track) for observation in observations}
         for track in self._tracks:
             track.misses = 0 if id(track) in seen else track.misses + 1
+            track.template = None
+            if track.misses == 0:
+                track.remember_picture(image)
         for track in [track for track in self._tracks if track.confirmed and not track.id]:
             self._number(track, tilt)
         self._drop_lost()
@@ -450,9 +454,15 @@ def _flickers(track: Track, tilt: float) -> bool:
 
 
 def _gets_clear(track: Track, tilt: float) -> bool:
-    """Whether a track has gone straight on, further than it is wide and than tilt takes it."""
+    """Whether a track has gone straight on, further than it is wide and than tilt takes it.
+
+    The middle of its outline or its picture may tell.
+    """
     clear = _CLEAR * float(np.sqrt(track.detection.area)) + _SHIMMER * tilt
-    return track.travelled >= max(clear, _STRAIGHT * track.walked)
+    ways = [(track.travelled, track.walked)]
+    if track.stepped is not None:
+        ways.append(track.stepped)
+    return any(travelled >= max(clear, _STRAIGHT * walked) for travelled, walked in ways)
 
 
 def _may_be_noise(track: Track, detection: Detection) -> bool:

@@ -18,6 +18,7 @@ from turbseg_ros.segmentation.certainty import certainty
 from turbseg_ros.segmentation.cropped_mask import Box, CroppedMask
 from turbseg_ros.segmentation.geometry import translation
 from turbseg_ros.segmentation.occlusion import AppearanceModel
+from turbseg_ros.segmentation.template import Template
 
 _TRAIL_LENGTH = 60
 # Least displacement over the path length that its flow adds up to, or an object ends: flow bleeds
@@ -33,6 +34,10 @@ _SOON = 48
 _RECENT = 5
 _UNKNOWN_SPEED = 0.1
 _SURPRISING = 2.0
+# Standard deviation of a velocity that its picture tells, in pixels a frame.
+_BY_PICTURE = 0.5
+# Steps by its picture from which its displacement is told.
+_FEWEST_STEPS = 3
 # A change of velocity by one pixel a frame, as the filter's uncertainty a frame later has it.
 _ANY_VELOCITY = np.kron(np.ones((2, 2)), np.eye(2))
 SHAPE_SPAN = 12
@@ -97,7 +102,9 @@ class Track:
     `seen_at`; `appearance` is what it looked like when last seen whole, None until it is an
     object. `start` is where it was seen first; `sightings` are its centroids, `clutter` what their
     places move by, the oldest first; `targets` the numbers of the small targets that it showed
-    last.
+    last. `template` is what it looked like in the frame before where no flow tells how fast it
+    is, `steps` are the displacements against the scene that its picture told, and `followed`
+    tells whether it did in this frame.
     """
 
     detection: Detection
@@ -118,6 +125,9 @@ class Track:
     clutter: list[float] = field(default_factory=list)
     trail: list[Point] = field(default_factory=list)
     targets: frozenset[int] = frozenset()
+    template: Template | None = None
+    steps: list[Point] = field(default_factory=list)
+    followed: bool = False
 
     @classmethod
     def started(cls, detection: Detection, tilt: float) -> Track:
@@ -201,13 +211,39 @@ class Track:
         self.start = linear @ self.start + ego_motion[:2, 2]
         self.trail = [linear @ point + ego_motion[:2, 2] for point in self.trail]
         self.sightings = [linear @ point + ego_motion[:2, 2] for point in self.sightings]
+        self.steps = [linear @ step for step in self.steps]
+
+    def follow(self, image: ByteImage, ego_motion: Matrix) -> None:
+        """Put it where its picture is found in the frame that it was propagated to.
+
+        :param image: HxWxC, that frame.
+        :param ego_motion: takes the last frame's pixels to that one's.
+        """
+        step = None if self.template is None else self.template.displacement(image, ego_motion)
+        self.followed = step is not None
+        if step is None:
+            return
+        self.steps = [*self.steps, step][-_TRAIL_LENGTH:]
+        place = ego_motion[:2, :2] @ self.seen_at + ego_motion[:2, 2] + step
+        # It was there before, as surely as that is known, and goes on by what was told now.
+        before = np.kron(np.diag([1.0, 0.0]), np.eye(2)) * self.kalman.measurementNoiseCov[0, 0]
+        velocity = np.kron(np.ones((2, 2)), np.eye(2)) * _BY_PICTURE**2
+        self.kalman.statePre = np.array([*place, *step]).reshape(4, 1)
+        self.kalman.statePost = self.kalman.statePre.copy()
+        self.kalman.errorCovPre = before + velocity
+        self.kalman.errorCovPost = self.kalman.errorCovPre.copy()
+
+    def remember_picture(self, image: ByteImage) -> None:
+        """Remember what it looks like in this frame, HxWxC, if it must be followed by that."""
+        told = self.detection.flow_known or self.targets or self.stood
+        self.template = None if told else Template.of(self.detection.outline, image)
 
     def correct(self, detection: Detection) -> None:
         """Take the detection that stands for it in this frame."""
         # A pixel more or less is much of a target of a few, and says nothing.
         iou = 1.0 if detection.moves_significantly else self.shape_iou(detection)
         self.shape_ious = [*self.shape_ious, iou][-SHAPE_SPAN:]
-        if not detection.flow_known:
+        if not detection.flow_known and not self.followed:
             self._raise_velocity_variance(detection.centroid)
         self.kalman.correct(detection.centroid.reshape(2, 1))
         self._see(detection, detection.centroid)
@@ -269,6 +305,7 @@ class Track:
         """
         expected = self.expected(ego_motion, shape)
         self.propagate(ego_motion)
+        self.template, self.followed = None, False
         self.still += 1
         if self.misses == 0:
             self.hits += 1
@@ -304,6 +341,18 @@ class Track:
     def walked(self) -> float:
         """Path length over its sightings, in pixels."""
         return float(np.linalg.norm(np.diff(self.sightings, axis=0), axis=1).sum())
+
+    @property
+    def stepped(self) -> tuple[float, float] | None:
+        """Displacement and path length by its picture, in pixels.
+
+        The displacement is that of its median step: one wrong step tells nothing. None unless its
+        picture was found in all frames but one since it was seen first.
+        """
+        if len(self.steps) < max(self.hits - 2, _FEWEST_STEPS):
+            return None
+        displacement = len(self.steps) * np.linalg.norm(np.median(self.steps, axis=0))
+        return float(displacement), float(np.linalg.norm(self.steps, axis=1).sum())
 
     def expected(self, ego_motion: Matrix, shape: tuple[int, int], frames: int = 1) -> Detection:
         """Return it as it should be in a coming frame of some shape.

@@ -1,0 +1,110 @@
+"""Where something is in the next frame, told by its picture.
+
+What has just come into view, or is too fast for flow, stands out but has no velocity, and the
+middle of its outline jumps when a shadow or a neighbour is outlined with it. Its picture is
+looked for by normalised cross-correlation instead (Lewis, Fast Normalized Cross-Correlation,
+1995), which changes of light leave as it is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from turbseg_ros.arrays import ByteImage, Map, Matrix, Point
+from turbseg_ros.segmentation.cropped_mask import Box, CroppedMask
+
+# Detail pixels of the surroundings that count: the rim of what is plain tells where it is.
+_RIM = 2
+# Pixels at which a picture is looked for, at most: a larger one is reduced.
+_PIXELS = 1500
+# How far it is looked for, in diagonals of its box: as far as a detection may lie off.
+_REACH = 0.6
+# Least contrast in grey values, and least number of pixels, that tell one place from another.
+_MIN_CONTRAST, _MIN_PIXELS = 3.0, 12
+# Correlation from which on it is the same thing.
+_SAME = 0.6
+
+
+@dataclass(frozen=True)
+class Template:
+    """What an outline held in a frame, hxw, and which pixels of that count, hxw (0 or 1)."""
+
+    box: Box
+    picture: ByteImage
+    mask: ByteImage
+
+    @classmethod
+    def of(cls, outline: CroppedMask, image: ByteImage) -> Template:
+        """Return the template of what an outline holds in a frame, HxWxC."""
+        whole = outline.dilated(_RIM, image.shape[:2])
+        return cls(whole.box, _grey(image[whole.box.slices]), whole.mask.view(np.uint8))
+
+    def displacement(self, image: ByteImage, ego_motion: Matrix) -> Point | None:
+        """Return how far it has moved against the scene, (x, y) in pixels.
+
+        :param image: HxWxC, the frame after the template's.
+        :param ego_motion: takes that one's pixels to this one's.
+        :return: None where it isn't found again: it has changed, is plain, or leaves the view.
+        """
+        height, width = self.box.shape
+        middle = np.array([self.box.x0 + width / 2.0, self.box.y0 + height / 2.0])
+        scene = ego_motion[:2, :2] @ middle + ego_motion[:2, 2] - middle
+        dx, dy = np.rint(scene).astype(int).tolist()
+        reach = int(_REACH * np.hypot(height, width)) + _RIM
+        there = self.box.moved(dx, dy).padded(reach, image.shape[:2])
+        ratio = max(float(np.sqrt(height * width / _PIXELS)), 1.0)
+        size = max(round(width / ratio), 1), max(round(height / ratio), 1)
+        scale = np.array([size[0] / width, size[1] / height])
+        picture = cv2.resize(self.picture, size, interpolation=cv2.INTER_AREA)
+        mask = cv2.resize(self.mask, size, interpolation=cv2.INTER_NEAREST)
+        rows, columns = there.shape
+        searched = round(columns * scale[0]), round(rows * scale[1])
+        if (
+            not _tells_places_apart(picture, mask)
+            or searched[0] < size[0]
+            or searched[1] < size[1]
+        ):
+            return None
+        reduced = cv2.resize(_grey(image[there.slices]), searched, interpolation=cv2.INTER_AREA)
+        correlation = cv2.matchTemplate(reduced, picture, cv2.TM_CCOEFF_NORMED, mask=mask)
+        # Where a place is plain, OpenCV divides by nothing.
+        correlation[~(np.abs(correlation) <= 1.001)] = -1.0
+        place = _peak(correlation)
+        if place is None:
+            return None
+        corner = np.array([there.x0, there.y0]) + place / scale
+        return np.asarray(corner - (self.box.x0, self.box.y0) - scene)
+
+
+def _grey(image: ByteImage) -> ByteImage:
+    """Return a part of a frame, hxwxC, in grey, hxw: colour tells little more, and costs time."""
+    if image.shape[2] == 1:
+        return image[..., 0].copy()
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY))
+
+
+def _tells_places_apart(picture: ByteImage, mask: ByteImage) -> bool:
+    """Whether a picture's pixels that count, hxw each, are enough and not all alike."""
+    pixels = picture[mask > 0]
+    return len(pixels) >= _MIN_PIXELS and float(pixels.std()) >= _MIN_CONTRAST
+
+
+def _peak(correlation: Map) -> Point | None:
+    """Return where a map of correlations, hxw, is highest, (x, y); None if that is not enough."""
+    _, highest, _, (x, y) = cv2.minMaxLoc(correlation)
+    if highest < _SAME:
+        return None
+    return np.array([x + _offset(correlation[y], x), y + _offset(correlation[:, x], y)])
+
+
+def _offset(values: npt.NDArray[np.float32], highest: int) -> float:
+    """Return how far the top of a parabola through the highest value and its neighbours lies."""
+    if not 0 < highest < len(values) - 1:
+        return 0.0
+    before, here, after = values[highest - 1 : highest + 2].tolist()
+    curvature = before - 2.0 * here + after
+    return 0.5 * (before - after) / curvature if curvature < 0.0 else 0.0
