@@ -855,3 +855,23 @@ def test_a_picture_from_before_a_frame_that_was_not_looked_at_is_not_looked_for(
     detection, image = passing_car(10, beside=0)
     assert only(tracker.update([detection], STILL_CAMERA, 0.1, image)).track is track
     np.testing.assert_allclose(track.velocity, (9.0, 0.0), atol=1.5)
+
+
+def test_what_flow_lost_is_followed_by_its_picture() -> None:
+    tracker = tracker_of()
+    for frame in range(8):
+        detection, image = passing_car(frame, beside=0, speed=15)
+        # So flow sees of it what lies beside.
+        detection = replace(detection, flow_known=True, velocity=(5.0, 1.0))
+        observation = only(tracker.update([detection], STILL_CAMERA, 0.1, image))
+    np.testing.assert_allclose(observation.velocity, (15.0, 0.0), atol=1.0)
+    assert min(observation.track.shape_ious[1:]) > 0.9
+
+
+def test_what_flow_tells_is_not_looked_for() -> None:
+    tracker = tracker_of()
+    for frame in range(8):
+        detection, image = passing_car(frame, beside=0, speed=2)
+        detection = replace(detection, flow_known=True, velocity=(2.0, 0.0))
+        track = only(tracker.update([detection], STILL_CAMERA, 0.1, image)).track
+        assert track.template is None

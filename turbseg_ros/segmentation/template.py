@@ -20,13 +20,13 @@ from turbseg_ros.segmentation.cropped_mask import Box, CroppedMask
 # Detail pixels of the surroundings that count: the rim of what is plain tells where it is.
 _RIM = 2
 # Pixels at which a picture is looked for, at most: a larger one is reduced.
-_PIXELS = 1500
+_PIXELS = 1000
 # How far it is looked for, in diagonals of its box: as far as a detection may lie off.
 _REACH = 0.6
 # Least contrast in grey values, and least number of pixels, that tell one place from another.
 _MIN_CONTRAST, _MIN_PIXELS = 3.0, 12
-# Correlation from which on it is the same thing.
-_SAME = 0.6
+SAME, SURELY_SAME = 0.6, 0.8
+"""Correlations from which on it may be, and surely is, the same thing."""
 
 
 @dataclass(frozen=True)
@@ -43,11 +43,14 @@ class Template:
         whole = outline.dilated(_RIM, image.shape[:2])
         return cls(whole.box, _grey(image[whole.box.slices]), whole.mask.view(np.uint8))
 
-    def displacement(self, image: ByteImage, ego_motion: Matrix) -> Point | None:
+    def displacement(
+        self, image: ByteImage, ego_motion: Matrix, correlation: float = SAME
+    ) -> Point | None:
         """Return how far it has moved against the scene, (x, y) in pixels.
 
         :param image: HxWxC, the frame after the template's.
         :param ego_motion: takes that one's pixels to this one's.
+        :param correlation: how like the template it must look there.
         :return: None where it isn't found again: it has changed, is plain, or leaves the view.
         """
         height, width = self.box.shape
@@ -70,10 +73,10 @@ class Template:
         ):
             return None
         reduced = cv2.resize(_grey(image[there.slices]), searched, interpolation=cv2.INTER_AREA)
-        correlation = cv2.matchTemplate(reduced, picture, cv2.TM_CCOEFF_NORMED, mask=mask)
+        alike = cv2.matchTemplate(reduced, picture, cv2.TM_CCOEFF_NORMED, mask=mask)
         # Where a place is plain, OpenCV divides by nothing.
-        correlation[~(np.abs(correlation) <= 1.001)] = -1.0
-        place = _peak(correlation)
+        alike[~(np.abs(alike) <= 1.001)] = -1.0
+        place = _peak(alike, correlation)
         if place is None:
             return None
         corner = np.array([there.x0, there.y0]) + place / scale
@@ -93,10 +96,10 @@ def _tells_places_apart(picture: ByteImage, mask: ByteImage) -> bool:
     return len(pixels) >= _MIN_PIXELS and float(pixels.std()) >= _MIN_CONTRAST
 
 
-def _peak(correlation: Map) -> Point | None:
-    """Return where a map of correlations, hxw, is highest, (x, y); None if that is not enough."""
+def _peak(correlation: Map, least: float) -> Point | None:
+    """Return where a map of correlations, hxw, is highest, (x, y); None if that is too little."""
     _, highest, _, (x, y) = cv2.minMaxLoc(correlation)
-    if highest < _SAME:
+    if highest < least:
         return None
     return np.array([x + _offset(correlation[y], x), y + _offset(correlation[:, x], y)])
 

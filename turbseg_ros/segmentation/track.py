@@ -18,7 +18,7 @@ from turbseg_ros.segmentation.certainty import certainty
 from turbseg_ros.segmentation.cropped_mask import Box, CroppedMask
 from turbseg_ros.segmentation.geometry import translation
 from turbseg_ros.segmentation.occlusion import AppearanceModel
-from turbseg_ros.segmentation.template import Template
+from turbseg_ros.segmentation.template import SAME, SURELY_SAME, Template
 
 _TRAIL_LENGTH = 60
 # Least displacement over the path length that its flow adds up to, or an object ends: flow bleeds
@@ -36,6 +36,9 @@ _UNKNOWN_SPEED = 0.1
 _SURPRISING = 2.0
 # Standard deviation of a velocity that its picture tells, in pixels a frame.
 _BY_PICTURE = 0.5
+# Pixels a frame from which flow may lose it within its interval, from which it is worth looking
+# whether it did, and the share of a step by its picture by which flow must err.
+_TOO_FAST, _FAST, _OTHER_STEP = 8.0, 4.0, 0.5
 # Steps by its picture from which its displacement is told.
 _FEWEST_STEPS = 3
 # A change of velocity by one pixel a frame, as the filter's uncertainty a frame later has it.
@@ -102,8 +105,8 @@ class Track:
     `seen_at`; `appearance` is what it looked like when last seen whole, None until it is an
     object. `start` is where it was seen first; `sightings` are its centroids, `clutter` what their
     places move by, the oldest first; `targets` the numbers of the small targets that it showed
-    last. `template` is what it looked like in the frame before where no flow tells how fast it
-    is, `steps` are the displacements against the scene that its picture told, and `followed`
+    last. `template` is what it looked like in the frame before where flow doesn't tell how fast
+    it is, `steps` are the displacements against the scene that its picture told, and `followed`
     tells whether it did in this frame.
     """
 
@@ -219,7 +222,7 @@ class Track:
         :param image: HxWxC, that frame.
         :param ego_motion: takes the last frame's pixels to that one's.
         """
-        step = None if self.template is None else self.template.displacement(image, ego_motion)
+        step = self._step(image, ego_motion)
         self.followed = step is not None
         if step is None:
             return
@@ -233,10 +236,32 @@ class Track:
         self.kalman.errorCovPre = before + velocity
         self.kalman.errorCovPost = self.kalman.errorCovPre.copy()
 
+    def _step(self, image: ByteImage, ego_motion: Matrix) -> Point | None:
+        """Return its displacement by its picture, None where that or flow tells better."""
+        if self.template is None:
+            return None
+        if not self.detection.flow_known:
+            return self.template.displacement(image, ego_motion, SAME)
+        step = self.template.displacement(image, ego_motion, SURELY_SAME)
+        if step is None:
+            return None
+        length, error = np.linalg.norm(step), np.linalg.norm(step - self.velocity)
+        return step if length >= _TOO_FAST and error >= _OTHER_STEP * length else None
+
     def remember_picture(self, image: ByteImage) -> None:
-        """Remember what it looks like in this frame, HxWxC, if it must be followed by that."""
-        told = self.detection.flow_known or self.targets or self.stood
+        """Remember what it looks like in this frame, HxWxC, if it must be followed by that.
+
+        It must where no flow tells its velocity, or may have lost it.
+        """
+        told = self.targets or self.stood or (self.detection.flow_known and not self._is_fast())
         self.template = None if told else Template.of(self.detection.outline, image)
+
+    def _is_fast(self) -> bool:
+        """Whether flow, or the middle of its last outline, says that it goes fast."""
+        speeds = np.linalg.norm(
+            [self.detection.velocity, *np.diff(self.sightings[-2:], axis=0)], axis=1
+        )
+        return bool(speeds.max() >= _FAST)
 
     def correct(self, detection: Detection) -> None:
         """Take the detection that stands for it in this frame."""
