@@ -340,6 +340,19 @@ def test_without_look_ahead_the_square_is_found_all_the_same() -> None:
     assert np.mean(overlap[14:]) > 0.5
 
 
+def test_without_look_ahead_motion_is_measured_more_often_until_all_is_decided() -> None:
+    chosen = {"latency.mode": "causal", "latency.coast_from": 0}
+    found = segmented(CLIP, PARAMETERS.replace(chosen))
+    every, answers = PARAMETERS.flow.every, measured(found)
+    first = next(number for number, result in enumerate(found) if result.objects)
+    assert first <= 8
+    # The first ones have nothing to be compared with; what is measured is a frame or two late.
+    undecided = [number for number in answers if every // 2 < number <= first]
+    assert set(np.diff(undecided)) == {every // 2}
+    decided = [number for number in answers if number > first + every]
+    assert set(np.diff(decided)) == {every}
+
+
 def test_a_flushed_stream_goes_on() -> None:
     segmenter = segmenter_by_rules(PARAMETERS)
     assert segmenter.flush() == []

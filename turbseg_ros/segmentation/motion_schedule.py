@@ -64,6 +64,8 @@ class MotionSchedule:
         self._due = 0
         self._submitted = -1
         self._objects_in = objects_in
+        # Whether motion is measured twice as often for now.
+        self._watches = self._may_watch
         self._last: Moving | None = None
         # Frames in a row in which nothing was cut out.
         self._empty_for = 0
@@ -91,6 +93,26 @@ class MotionSchedule:
         if self._last is not None:
             self._last = self._last.where(objects)
 
+    def watch_closely(self, something: bool) -> None:
+        """Measure motion twice as often while something is to be decided.
+
+        So it is where each frame is answered at once. Else a result waits for that long anyway.
+        """
+        self._watches = something and self._may_watch
+
+    @property
+    def _may_watch(self) -> bool:
+        return self._look_ahead.segmentation == 0
+
+    @property
+    def _period(self) -> int:
+        return max(self._every // 2, 1) if self._watches else self._every
+
+    @property
+    def _lag(self) -> int:
+        """Frames by which what is measured comes late."""
+        return (self._period + 1) // 2 if self._watches else self._look_ahead.lag
+
     def _what_moves(self, index: int) -> Moving | None:
         if not self._window.shows_scene(index):
             self._drop_until(index)
@@ -110,13 +132,13 @@ class MotionSchedule:
 
     def _measure_at_once(self, index: int) -> None:
         """Have motion measured where nothing is waited for any more, or can be propagated."""
-        if self._submitted < self._due <= index - self._look_ahead.lag:
+        if self._submitted < self._due <= index - self._lag:
             self._submit(self._due, known_from=index)
         if self._last is not None and self._window[index].continues:
             return
         if self._look_ahead.segmentation == 0:
             if not self._known_from:
-                self._submit(index, known_from=index + self._look_ahead.lag)
+                self._submit(index, known_from=index + self._lag)
         elif index in self._known_from:
             self._known_from[index] = index
         else:
@@ -141,12 +163,13 @@ class MotionSchedule:
     def _measure_ahead(self, index: int, sparse: bool) -> None:
         """Have motion measured in the next frame that is due, while outlines are drawn."""
         if self._due <= min(self._submitted, index):
-            step = self._every * (SPARSE if sparse else 1)
-            self._due = index // self._every * self._every + step
+            period = self._every if sparse else self._period
+            self._due = index // period * period + period * (SPARSE if sparse else 1)
         following = self._window.count - 1 - self._due
         is_at_hand = following >= self._look_ahead.neighbours and self._due <= index + self._every
         if is_at_hand and self._submitted < self._due:
-            self._submit(self._due, known_from=max(self._due, index + self._look_ahead.measuring))
+            measuring = self._lag if self._watches else self._look_ahead.measuring
+            self._submit(self._due, known_from=max(self._due, index + measuring))
 
     def _submit(self, index: int, known_from: int) -> None:
         """Have motion measured in a frame.

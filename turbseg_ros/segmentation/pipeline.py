@@ -80,8 +80,7 @@ class Pipeline:
         self._scene = SceneMemory(parameters.regions.static_overlays)
         self._targets = TargetTracks()
         self._regions = strategies.regions.fitted(resolution)
-        # The frame that was tracked last.
-        self._tracked = -1
+        self._tracked = -1  # The last frame's index.
         self._outliner = Outliner(
             self.window, resolution, strategies.outlines, observer, parameters
         )
@@ -133,6 +132,7 @@ class Pipeline:
         masks = [seen.detection.outline.dilated(GUARD, shape) for seen in observations]
         self.window.mark_objects(index, [*masks, *overlays])
         self._schedule.keep_where(union_mask(masks, shape))
+        self._schedule.watch_closely(any(not seen.track.confirmed for seen in observations))
         return PendingResult(
             frame, resolution, camera, moving.motion, observations, coasted, self._regions
         )
