@@ -37,7 +37,7 @@ _SURPRISING = 2.0
 # Standard deviation of a velocity that its picture tells, in pixels a frame.
 _BY_PICTURE = 0.5
 # Pixels a frame from which flow may lose it within its interval, from which it is worth looking
-# whether it did, and the share of a step by its picture by which flow must err.
+# whether it did, and the share of a step by which flow must err.
 _TOO_FAST, _FAST, _OTHER_STEP = 8.0, 4.0, 0.5
 # Steps by its picture from which its displacement is told.
 _FEWEST_STEPS = 3
@@ -253,15 +253,20 @@ class Track:
 
         It must where no flow tells its velocity, or may have lost it.
         """
-        told = self.targets or self.stood or (self.detection.flow_known and not self._is_fast())
-        self.template = None if told else Template.of(self.detection.outline, image)
+        lost = not self.detection.flow_known or self._outruns_flow()
+        known = self.targets or self.stood or not lost
+        self.template = None if known else Template.of(self.detection.outline, image)
 
-    def _is_fast(self) -> bool:
-        """Whether flow, or the middle of its last outline, says that it goes fast."""
-        speeds = np.linalg.norm(
-            [self.detection.velocity, *np.diff(self.sightings[-2:], axis=0)], axis=1
-        )
-        return bool(speeds.max() >= _FAST)
+    def _outruns_flow(self) -> bool:
+        """Whether the middle of its outline goes fast, and otherwise than flow says.
+
+        Of what was seen only once, flow itself tells whether it goes fast.
+        """
+        if len(self.sightings) < 2:
+            return float(np.hypot(*self.detection.velocity)) >= _FAST
+        went = self.sightings[-1] - self.sightings[-2]
+        way, error = np.linalg.norm(went), np.linalg.norm(went - self.detection.velocity)
+        return bool(way >= _FAST and error >= _OTHER_STEP * way)
 
     def correct(self, detection: Detection) -> None:
         """Take the detection that stands for it in this frame."""
