@@ -13,6 +13,9 @@ from turbseg_ros.segmentation.geometry import (
     lengths,
     pixel_grid,
     sampson_distance,
+    scaling,
+    transformed_point,
+    translation,
 )
 
 SHAPE = (48, 80)
@@ -48,6 +51,12 @@ def test_lengths_are_the_same_wherever_the_vectors_lie_in_memory() -> None:
         moved = room[start : start + vectors.nbytes].view(np.float32).reshape(vectors.shape)
         moved[:] = vectors
         np.testing.assert_array_equal(lengths(*moved), expected)
+
+
+def test_a_transform_takes_a_point_where_it_takes_its_pixel() -> None:
+    transform = translation(3.0, -2.0) @ scaling(2.0, 4.0)
+    moved = transformed_point(transform, np.array([5.0, 7.0]))
+    np.testing.assert_allclose(moved, (transform @ [5.0, 7.0, 1.0])[:2])
 
 
 def test_pixel_grid_gives_x_before_y() -> None:

@@ -7,13 +7,12 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from support.drawn_scene import jaccard
+from support.drawn_scene import jaccard, texture
 from turbseg_ros.arrays import ByteImage
 from turbseg_ros.segmentation.cropped_mask import Box
 from turbseg_ros.segmentation.kalman_tracker import KalmanTracker
@@ -805,16 +804,11 @@ def test_a_clip_that_is_forgotten_gets_no_ids() -> None:
     assert unifier.next_id == 1
 
 
-def textured(height: int, width: int, seed: int) -> ByteImage:
-    noise = np.random.default_rng(seed).uniform(0.0, 255.0, (height, width)).astype(np.float32)
-    return np.asarray(cv2.GaussianBlur(noise, (0, 0), 1.5), np.uint8)
-
-
 def passing_car(frame: int, *, beside: int, speed: int = 9) -> tuple[Detection, ByteImage]:
     """What no flow shows to move, outlined with its shadow in some frames, and that frame."""
     x, y, (height, width), shadow = 60 + frame * speed, 100, (24, 30), 30
     image = np.full((240, 640), 150, np.uint8)
-    image[y : y + height, x : x + width] = textured(height, width, 2)
+    image[y : y + height, x : x + width] = texture((height, width), 2)
     image[y + height // 2 : y + height, x - shadow : x] = 90
     left = x - (beside if frame % 2 else 0)
     box = Box(left, y, x + width, y + height)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from support.drawn_scene import texture
 from turbseg_ros.arrays import ByteImage, Matrix
 from turbseg_ros.segmentation.cropped_mask import Box, CroppedMask
 from turbseg_ros.segmentation.geometry import translation
@@ -17,15 +17,9 @@ HEIGHT, WIDTH = 120, 160
 STILL_CAMERA = np.eye(3)
 
 
-def texture(height: int, width: int, seed: int) -> ByteImage:
-    noise = np.random.default_rng(seed).uniform(0.0, 255.0, (height, width)).astype(np.float32)
-    smooth = cv2.GaussianBlur(noise, (0, 0), 2.0)
-    return np.asarray(cv2.normalize(smooth, None, 30, 220, cv2.NORM_MINMAX), np.uint8)
-
-
 def scene_with(thing: ByteImage, x: int, y: int, scene: ByteImage | None = None) -> ByteImage:
     """A frame, HxWx1, in which the upper left pixel of a thing is (x, y)."""
-    frame = texture(HEIGHT, WIDTH, 1) if scene is None else scene.copy()
+    frame = texture((HEIGHT, WIDTH), 1) if scene is None else scene.copy()
     frame[y : y + thing.shape[0], x : x + thing.shape[1]] = thing
     return frame[..., None]
 
@@ -47,7 +41,7 @@ def displacement(
 @settings(max_examples=30, deadline=None)
 @given(dx=st.integers(-9, 9), dy=st.integers(-9, 9))
 def test_a_thing_is_found_where_it_went(dx: int, dy: int) -> None:
-    thing = texture(14, 22, 2)
+    thing = texture((14, 22), 2)
     found = displacement(
         scene_with(thing, 60, 50), outline_of(thing, 60, 50), scene_with(thing, 60 + dx, 50 + dy)
     )
@@ -56,7 +50,7 @@ def test_a_thing_is_found_where_it_went(dx: int, dy: int) -> None:
 
 
 def test_a_large_thing_is_found_within_a_pixel() -> None:
-    thing = texture(60, 90, 2)
+    thing = texture((60, 90), 2)
     found = displacement(
         scene_with(thing, 10, 20), outline_of(thing, 10, 20), scene_with(thing, 31, 27)
     )
@@ -65,7 +59,7 @@ def test_a_large_thing_is_found_within_a_pixel() -> None:
 
 
 def test_the_displacement_is_against_the_scene_where_the_camera_turns() -> None:
-    thing, scene = texture(14, 22, 2), texture(HEIGHT, WIDTH, 1)
+    thing, scene = texture((14, 22), 2), texture((HEIGHT, WIDTH), 1)
     turned = np.roll(scene, (3, -8), axis=(0, 1))
     found = displacement(
         scene_with(thing, 60, 50, scene),
@@ -78,7 +72,7 @@ def test_the_displacement_is_against_the_scene_where_the_camera_turns() -> None:
 
 
 def test_other_light_changes_nothing() -> None:
-    thing = texture(14, 22, 2)
+    thing = texture((14, 22), 2)
     brighter = np.asarray(np.clip(thing * 0.7 + 40.0, 0, 255), np.uint8)
     found = displacement(
         scene_with(thing, 60, 50), outline_of(thing, 60, 50), scene_with(brighter, 66, 50)
@@ -99,7 +93,10 @@ def test_the_rim_tells_where_a_plain_thing_is() -> None:
 
 
 def test_what_has_become_something_else_is_not_found() -> None:
-    before, after = scene_with(texture(14, 22, 2), 60, 50), scene_with(texture(14, 22, 3), 60, 50)
+    before, after = (
+        scene_with(texture((14, 22), 2), 60, 50),
+        scene_with(texture((14, 22), 3), 60, 50),
+    )
     assert displacement(before, outline_of(before[50:64, 60:82, 0], 60, 50), after) is None
 
 
@@ -119,14 +116,14 @@ def test_what_is_plain_or_tiny_is_not_found(side: int) -> None:
 def test_a_thing_at_the_border_or_out_of_view_does_no_harm(
     x: int, y: int, turn: tuple[float, float]
 ) -> None:
-    thing = texture(9, 12, 2)
+    thing = texture((9, 12), 2)
     frame = scene_with(thing, x, y)
     found = displacement(frame, outline_of(thing, x, y), frame, translation(*turn))
     assert found is None or np.isfinite(found).all()
 
 
 def test_pictures_in_colour_are_followed() -> None:
-    thing = texture(14, 22, 2)
+    thing = texture((14, 22), 2)
     before, after = (np.repeat(scene_with(thing, x, 50), 3, axis=2) for x in (60, 68))
     found = displacement(before, outline_of(thing, 60, 50), after)
     assert found is not None

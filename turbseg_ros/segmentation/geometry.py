@@ -61,6 +61,11 @@ def scaling(x: float, y: float) -> Matrix:
     return np.array([[x, 0.0, (x - 1) / 2], [0.0, y, (y - 1) / 2], [0.0, 0.0, 1.0]])
 
 
+def transformed_point(transform: Matrix, point: Point) -> Point:
+    """Return where an affine transform takes a point (x, y)."""
+    return np.asarray(transform[:2, :2] @ point + transform[:2, 2])
+
+
 def corner_displacement(transform: Matrix, size: tuple[int, int]) -> float:
     """Return how far a transform moves corners of a picture, width and height, at most.
 

@@ -10,6 +10,7 @@ from scipy.optimize import linear_sum_assignment
 
 from turbseg_ros.arrays import ByteImage, Matrix, Point
 from turbseg_ros.segmentation.cropped_mask import EMPTY_MASK, CroppedMask
+from turbseg_ros.segmentation.geometry import transformed_point
 from turbseg_ros.segmentation.occlusion import AppearanceModel, DepthOrder, divided_among
 from turbseg_ros.segmentation.significance import chance_per_test, jitter, significant_displacement
 from turbseg_ros.segmentation.track import (
@@ -85,7 +86,7 @@ class _ClutterSite:
         return float(np.linalg.norm(point - self.middle)) < self.radius
 
     def propagated(self, ego_motion: Matrix) -> _ClutterSite:
-        middle = ego_motion[:2, :2] @ self.middle + ego_motion[:2, 2]
+        middle = transformed_point(ego_motion, self.middle)
         return _ClutterSite(middle, self.radius, self.age + 1)
 
 
@@ -208,9 +209,7 @@ class KalmanTracker:
         seen = {id(observation.track) for observation in observations}
         for track in self._tracks:
             track.misses = 0 if id(track) in seen else track.misses + 1
-            track.template = None
-            if track.misses == 0:
-                track.remember_picture(image)
+            track.remember_picture(image)
         for track in [track for track in self._tracks if track.confirmed and not track.id]:
             self._number(track, tilt)
         self._drop_lost()
@@ -460,8 +459,8 @@ def _gets_clear(track: Track, tilt: float) -> bool:
     """
     clear = _CLEAR * float(np.sqrt(track.detection.area)) + _SHIMMER * tilt
     ways = [(track.travelled, track.walked)]
-    if track.stepped is not None:
-        ways.append(track.stepped)
+    if (stepped := track.stepped) is not None:
+        ways.append(stepped)
     return any(travelled >= max(clear, _STRAIGHT * walked) for travelled, walked in ways)
 
 

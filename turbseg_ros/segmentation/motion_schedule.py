@@ -65,7 +65,7 @@ class MotionSchedule:
         self._submitted = -1
         self._objects_in = objects_in
         # Whether motion is measured twice as often for now.
-        self._watches = self._may_watch
+        self._watches = self._answers_at_once
         self._last: Moving | None = None
         # Frames in a row in which nothing was cut out.
         self._empty_for = 0
@@ -98,10 +98,10 @@ class MotionSchedule:
 
         So it is where each frame is answered at once. Else a result waits for that long anyway.
         """
-        self._watches = something and self._may_watch
+        self._watches = something and self._answers_at_once
 
     @property
-    def _may_watch(self) -> bool:
+    def _answers_at_once(self) -> bool:
         return self._look_ahead.segmentation == 0
 
     @property
@@ -109,9 +109,11 @@ class MotionSchedule:
         return max(self._every // 2, 1) if self._watches else self._every
 
     @property
-    def _lag(self) -> int:
-        """Frames by which what is measured comes late."""
-        return (self._period + 1) // 2 if self._watches else self._look_ahead.lag
+    def _in_use(self) -> LookAhead:
+        """The look-ahead, of which measuring takes half a period while that is shorter."""
+        if not self._watches:
+            return self._look_ahead
+        return replace(self._look_ahead, measuring=(self._period + 1) // 2)
 
     def _what_moves(self, index: int) -> Moving | None:
         if not self._window.shows_scene(index):
@@ -132,13 +134,13 @@ class MotionSchedule:
 
     def _measure_at_once(self, index: int) -> None:
         """Have motion measured where nothing is waited for any more, or can be propagated."""
-        if self._submitted < self._due <= index - self._lag:
+        if self._submitted < self._due <= index - self._in_use.lag:
             self._submit(self._due, known_from=index)
         if self._last is not None and self._window[index].continues:
             return
-        if self._look_ahead.segmentation == 0:
+        if self._answers_at_once:
             if not self._known_from:
-                self._submit(index, known_from=index + self._lag)
+                self._submit(index, known_from=index + self._in_use.lag)
         elif index in self._known_from:
             self._known_from[index] = index
         else:
@@ -168,8 +170,7 @@ class MotionSchedule:
         following = self._window.count - 1 - self._due
         is_at_hand = following >= self._look_ahead.neighbours and self._due <= index + self._every
         if is_at_hand and self._submitted < self._due:
-            measuring = self._lag if self._watches else self._look_ahead.measuring
-            self._submit(self._due, known_from=max(self._due, index + measuring))
+            self._submit(self._due, known_from=max(self._due, index + self._in_use.measuring))
 
     def _submit(self, index: int, known_from: int) -> None:
         """Have motion measured in a frame.

@@ -15,7 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from turbseg_ros.arrays import ByteImage, Map, Matrix, Point
-from turbseg_ros.segmentation.cropped_mask import Box, CroppedMask
+from turbseg_ros.segmentation.cropped_mask import CroppedMask
+from turbseg_ros.segmentation.geometry import transformed_point
 
 # Detail pixels of the surroundings that count: the rim of what is plain tells where it is.
 _RIM = 2
@@ -31,17 +32,16 @@ SAME, SURELY_SAME = 0.6, 0.8
 
 @dataclass(frozen=True)
 class Template:
-    """What an outline held in a frame, hxw, and which pixels of that count, hxw (0 or 1)."""
+    """Which pixels of a frame count, and what their box of it showed in grey, hxw."""
 
-    box: Box
+    outline: CroppedMask
     picture: ByteImage
-    mask: ByteImage
 
     @classmethod
     def of(cls, outline: CroppedMask, image: ByteImage) -> Template:
         """Return the template of what an outline holds in a frame, HxWxC."""
         whole = outline.dilated(_RIM, image.shape[:2])
-        return cls(whole.box, _grey(image[whole.box.slices]), whole.mask.view(np.uint8))
+        return cls(whole, _grey(image[whole.box.slices]))
 
     def displacement(
         self, image: ByteImage, ego_motion: Matrix, correlation: float = SAME
@@ -53,17 +53,18 @@ class Template:
         :param correlation: how like the template it must look there.
         :return: None where it isn't found again: it has changed, is plain, or leaves the view.
         """
-        height, width = self.box.shape
-        middle = np.array([self.box.x0 + width / 2.0, self.box.y0 + height / 2.0])
-        scene = ego_motion[:2, :2] @ middle + ego_motion[:2, 2] - middle
+        box = self.outline.box
+        height, width = box.shape
+        middle = np.array([box.x0 + width / 2.0, box.y0 + height / 2.0])
+        scene = transformed_point(ego_motion, middle) - middle
         dx, dy = np.rint(scene).astype(int).tolist()
         reach = int(_REACH * np.hypot(height, width)) + _RIM
-        there = self.box.moved(dx, dy).padded(reach, image.shape[:2])
+        there = box.moved(dx, dy).padded(reach, image.shape[:2])
         ratio = max(float(np.sqrt(height * width / _PIXELS)), 1.0)
         size = max(round(width / ratio), 1), max(round(height / ratio), 1)
         scale = np.array([size[0] / width, size[1] / height])
         picture = cv2.resize(self.picture, size, interpolation=cv2.INTER_AREA)
-        mask = cv2.resize(self.mask, size, interpolation=cv2.INTER_NEAREST)
+        mask = cv2.resize(self.outline.mask.view(np.uint8), size, interpolation=cv2.INTER_NEAREST)
         rows, columns = there.shape
         searched = round(columns * scale[0]), round(rows * scale[1])
         if (
@@ -80,7 +81,7 @@ class Template:
         if place is None:
             return None
         corner = np.array([there.x0, there.y0]) + place / scale
-        return np.asarray(corner - (self.box.x0, self.box.y0) - scene)
+        return np.asarray(corner - (box.x0, box.y0) - scene)
 
 
 def _grey(image: ByteImage) -> ByteImage:

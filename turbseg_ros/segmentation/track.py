@@ -16,7 +16,7 @@ import numpy as np
 from turbseg_ros.arrays import ByteImage, Mask, Matrix, Point
 from turbseg_ros.segmentation.certainty import certainty
 from turbseg_ros.segmentation.cropped_mask import Box, CroppedMask
-from turbseg_ros.segmentation.geometry import translation
+from turbseg_ros.segmentation.geometry import transformed_point, translation
 from turbseg_ros.segmentation.occlusion import AppearanceModel
 from turbseg_ros.segmentation.template import SAME, SURELY_SAME, Template
 
@@ -207,13 +207,13 @@ class Track:
         self.age += 1
         linear = ego_motion[:2, :2]
         state = self.kalman.statePost
-        state[:2, 0] = linear @ state[:2, 0] + ego_motion[:2, 2]
+        state[:2, 0] = transformed_point(ego_motion, state[:2, 0])
         state[2:, 0] = linear @ state[2:, 0]
         self.kalman.statePost = state
         self.kalman.predict()
-        self.start = linear @ self.start + ego_motion[:2, 2]
-        self.trail = [linear @ point + ego_motion[:2, 2] for point in self.trail]
-        self.sightings = [linear @ point + ego_motion[:2, 2] for point in self.sightings]
+        self.start = transformed_point(ego_motion, self.start)
+        self.trail = [transformed_point(ego_motion, point) for point in self.trail]
+        self.sightings = [transformed_point(ego_motion, point) for point in self.sightings]
         self.steps = [linear @ step for step in self.steps]
 
     def follow(self, image: ByteImage, ego_motion: Matrix) -> None:
@@ -227,10 +227,10 @@ class Track:
         if step is None:
             return
         self.steps = [*self.steps, step][-_TRAIL_LENGTH:]
-        place = ego_motion[:2, :2] @ self.seen_at + ego_motion[:2, 2] + step
+        place = transformed_point(ego_motion, self.seen_at) + step
         # It was there before, as surely as that is known, and goes on by what was told now.
         before = np.kron(np.diag([1.0, 0.0]), np.eye(2)) * self.kalman.measurementNoiseCov[0, 0]
-        velocity = np.kron(np.ones((2, 2)), np.eye(2)) * _BY_PICTURE**2
+        velocity = _ANY_VELOCITY * _BY_PICTURE**2
         self.kalman.statePre = np.array([*place, *step]).reshape(4, 1)
         self.kalman.statePost = self.kalman.statePre.copy()
         self.kalman.errorCovPre = before + velocity
@@ -240,22 +240,24 @@ class Track:
         """Return its displacement by its picture, None where that or flow tells better."""
         if self.template is None:
             return None
-        if not self.detection.flow_known:
-            return self.template.displacement(image, ego_motion, SAME)
-        step = self.template.displacement(image, ego_motion, SURELY_SAME)
-        if step is None:
-            return None
+        flow_known = self.detection.flow_known
+        alike = SURELY_SAME if flow_known else SAME
+        step = self.template.displacement(image, ego_motion, alike)
+        if step is None or not flow_known:
+            return step
         length, error = np.linalg.norm(step), np.linalg.norm(step - self.velocity)
         return step if length >= _TOO_FAST and error >= _OTHER_STEP * length else None
 
     def remember_picture(self, image: ByteImage) -> None:
         """Remember what it looks like in this frame, HxWxC, if it must be followed by that.
 
-        It must where no flow tells its velocity, or may have lost it.
+        It must where it was seen, and no flow tells its velocity, or may have lost it.
         """
-        lost = not self.detection.flow_known or self._outruns_flow()
-        known = self.targets or self.stood or not lost
-        self.template = None if known else Template.of(self.detection.outline, image)
+        self.template = None
+        if self.misses or self.targets or self.stood:
+            return
+        if not self.detection.flow_known or self._outruns_flow():
+            self.template = Template.of(self.detection.outline, image)
 
     def _outruns_flow(self) -> bool:
         """Whether the middle of its outline goes fast, and otherwise than flow says.
@@ -335,7 +337,7 @@ class Track:
         """
         expected = self.expected(ego_motion, shape)
         self.propagate(ego_motion)
-        self.template, self.followed = None, False
+        self.template = None
         self.still += 1
         if self.misses == 0:
             self.hits += 1
