@@ -149,6 +149,18 @@ def test_objects_follow_their_path() -> None:
     assert np.diff(centres) == pytest.approx([10.0] * 6, abs=0.3)
 
 
+def test_what_comes_closer_grows_on_its_way() -> None:
+    path = Path(((0, 120, 60), (10, 120, 100)), scales=((0, 1.0), (10, 2.0)))
+    clip = small_scene(SceneObject(1, "truck_front", 30, path), frames=11)
+    boxes = [np.nonzero(frame.labels == 1) for frame in render(clip)]
+    widths = [np.ptp(x) + 1 for _, x in boxes]
+    assert widths[0] == pytest.approx(30, abs=1)
+    assert widths[10] == pytest.approx(60, abs=1)
+    assert min(np.diff(widths)) >= 0
+    # It stands on its path.
+    assert [y.max() + 1 for y, _ in (boxes[0], boxes[10])] == pytest.approx([60, 100], abs=1)
+
+
 def test_a_panning_camera_moves_landscape_and_objects_alike() -> None:
     clip = small_scene(standing(1, "sedan", 60, 120, 100), landscape="town")
     clip = replace(clip, camera=CameraMotion(pan=(5.0, 0.0)))

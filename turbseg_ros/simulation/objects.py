@@ -7,7 +7,7 @@ upwards from the ground, both in units of the object's length (of its height for
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -163,6 +163,40 @@ def _truck(_phase: float, paint: Colour) -> list[Part]:
         *_wheel(0.72, 0.06),
         *_wheel(0.9, 0.06),
     ]  # fmt: skip
+
+
+def _car_front(_phase: float, paint: Colour) -> list[Part]:
+    """Draw a car as it comes towards the camera, or goes; x is across it, in its widths."""
+    body: Points = (
+        (0.03, 0.12), (0.0, 0.3), (0.03, 0.44), (0.14, 0.5), (0.24, 0.78), (0.3, 0.82),
+        (0.7, 0.82), (0.76, 0.78), (0.86, 0.5), (0.97, 0.44), (1.0, 0.3), (0.97, 0.12),
+    )  # fmt: skip
+    return [
+        Part(_box(0.06, 0.0, 0.22, 0.2), _TYRE, 0.75),
+        Part(_box(0.78, 0.0, 0.94, 0.2), _TYRE, 0.75),
+        Part(body, paint, 0.5),
+        Part(_box(0.05, 0.1, 0.95, 0.2), _shade(paint, 0.55), 0.5),
+        Part(((0.18, 0.5), (0.27, 0.75), (0.73, 0.75), (0.82, 0.5)), _GLASS, 0.2),
+        Part(_box(0.3, 0.24, 0.7, 0.36), _shade(_GLASS, 0.8), 0.9),
+        Part(_ellipse(0.14, 0.37, 0.09, 0.05), _LAMP, 0.7),
+        Part(_ellipse(0.86, 0.37, 0.09, 0.05), _LAMP, 0.7),
+    ]
+
+
+def _truck_front(_phase: float, paint: Colour) -> list[Part]:
+    """Draw a truck as it comes towards the camera; x is across it, in its widths."""
+    box = (0.8, 0.82, 0.82)
+    return [
+        Part(_box(0.05, 0.0, 0.25, 0.25), _TYRE, 0.75),
+        Part(_box(0.75, 0.0, 0.95, 0.25), _TYRE, 0.75),
+        Part(_box(0.0, 0.25, 1.0, 1.5), box, 0.35),
+        Part(_box(0.0, 1.46, 1.0, 1.5), _shade(box, 1.2), 0.35),
+        Part(_box(0.04, 0.1, 0.96, 1.15), paint, 0.5),
+        Part(_box(0.1, 0.62, 0.9, 1.02), _GLASS, 0.22),
+        Part(_box(0.2, 0.24, 0.8, 0.52), _shade(paint, 0.5), 0.95),
+        Part(_box(0.07, 0.2, 0.2, 0.28), _LAMP, 0.7),
+        Part(_box(0.8, 0.2, 0.93, 0.28), _LAMP, 0.7),
+    ]
 
 
 def _bus(_phase: float, paint: Colour) -> list[Part]:
@@ -350,6 +384,8 @@ KINDS: dict[str, Kind] = {
     "pickup": Kind(_pickup, footprint=1.0),
     "truck": Kind(_truck, footprint=1.0),
     "bus": Kind(_bus, footprint=1.0),
+    "car_front": Kind(_car_front, footprint=1.0),
+    "truck_front": Kind(_truck_front, footprint=1.0),
     "person": Kind(_person, cycle_frames=30, footprint=0.4),
     "airliner": Kind(_airliner),
     "light_aircraft": Kind(_light_aircraft, cycle_frames=2.7),
@@ -366,23 +402,37 @@ class Path:
 
     `waypoints` are (frame, x, y) in pixels of the scene; between them the position follows a
     monotone cubic (PCHIP), so that equal neighbours are a stop and uneven spacing an
-    acceleration. A path may leave the image and come back.
+    acceleration. A path may leave the image and come back. `scales` are (frame, scale): what
+    comes towards the camera grows. Without any its size stays.
     """
 
     waypoints: tuple[tuple[float, float, float], ...]
+    scales: tuple[tuple[float, float], ...] = ()
 
     def positions(self, frames: int) -> npt.NDArray[np.float64]:
         """Return the positions at frames 0 to `frames` - 1, float64 Nx2; held beyond the ends."""
-        table = np.asarray(self.waypoints, dtype=np.float64)
-        if len(table) == 1:
-            return np.repeat(table[:, 1:], frames, axis=0)
-        times = np.clip(np.arange(frames), table[0, 0], table[-1, 0])
-        return np.asarray(PchipInterpolator(table[:, 0], table[:, 1:])(times))
+        return _interpolated(self.waypoints, frames)
+
+    def sizes(self, frames: int) -> npt.NDArray[np.float64]:
+        """Return by how much it is scaled at frames 0 to `frames` - 1, float64 N."""
+        return _interpolated(self.scales or ((0.0, 1.0),), frames)[:, 0]
+
+
+def _interpolated(waypoints: Sequence[tuple[float, ...]], frames: int) -> npt.NDArray[np.float64]:
+    """Return values given as (frame, value, ...) at frames 0 to `frames` - 1, held at the ends."""
+    table = np.asarray(waypoints, dtype=np.float64)
+    if len(table) == 1:
+        return np.repeat(table[:, 1:], frames, axis=0)
+    times = np.clip(np.arange(frames), table[0, 0], table[-1, 0])
+    return np.asarray(PchipInterpolator(table[:, 0], table[:, 1:])(times))
 
 
 @dataclass(frozen=True)
 class SceneObject:
-    """One moving object: identity, looks and path. `size` is its length (people: height), px."""
+    """One moving object: identity, looks and path.
+
+    `size` is its length (of people the height, of what is seen from before the width) in pixels.
+    """
 
     id: int
     kind: str
@@ -405,12 +455,16 @@ class Layer:
 
 @dataclass(frozen=True)
 class Pose:
-    """Where a shape stands: its foot (x, y), and pitch in radians, clockwise in the image."""
+    """Where a shape stands: its foot (x, y), and pitch in radians, clockwise in the image.
+
+    `scale` is by how much it is larger there than its object's size.
+    """
 
     x: float
     y: float
     pitch: float = 0.0
     mirrored: bool = False
+    scale: float = 1.0
 
 
 class Sprite:
@@ -451,7 +505,7 @@ class Sprite:
 
     def _to_scene(self, pose: Pose) -> Matrix:
         """Return the 3x3 map from the shape's own frame to the scene."""
-        size = self._object.size
+        size = self._object.size * pose.scale
         c, s = size * math.cos(pose.pitch), size * math.sin(pose.pitch)
         flip = -1 if pose.mirrored else 1
         linear = np.array([[c * flip, s], [s * flip, -c]])
@@ -473,7 +527,7 @@ class Sprite:
         if self._thermal or not self._kind.footprint:
             return None
         x, y = to_image @ (pose.x, pose.y, 1.0)
-        half = self._kind.footprint * self._object.size / 2
+        half = self._kind.footprint * self._object.size * pose.scale / 2
         depth = max(0.05 * half, 0.7)  # seen at a grazing angle, as a long lens does
         return float(x), float(y) - 0.5 * depth, half, depth
 

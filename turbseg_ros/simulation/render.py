@@ -151,6 +151,7 @@ class _Actor:
         self._kind = KINDS[actor.kind]
         self._sprite = Sprite(actor, scene.thermal, rng)
         self._positions = actor.path.positions(scene.frames)
+        self._sizes = actor.path.sizes(scene.frames)
         self._velocities = np.gradient(self._positions, axis=0) if scene.frames > 1 else None
         self._offset = float(rng.random())
 
@@ -158,7 +159,9 @@ class _Actor:
         x, y = self._positions[index]
         backward, pitch = self._heading(index)
         phase = (index / self._kind.cycle_frames + self._offset) % 1.0
-        return self._sprite.place(phase, Pose(float(x), float(y), pitch, backward), to_picture)
+        scale = float(self._sizes[index])
+        pose = Pose(float(x), float(y), pitch, backward, scale)
+        return self._sprite.place(phase, pose, to_picture)
 
     def _heading(self, index: int) -> tuple[bool, float]:
         """Whether it faces left, and its pitch: as it last moved."""

@@ -254,6 +254,27 @@ _LARGE: tuple[Scene, ...] = (
         frames=90,
     ),
     Scene(
+        "approaching",
+        "a truck and a car that come down a road towards the camera, another that goes",
+        "fields",
+        _WIDE_HAZE,
+        (
+            SceneObject(
+                1, "car_front", 40, Path(((0, 520, 268), (90, 505, 258)), ((0, 1.0), (90, 0.75))),
+                _RED,
+            ),
+            SceneObject(
+                2, "car_front", 44, Path(((0, 300, 262), (90, 290, 284)), ((0, 1.0), (90, 1.5))),
+                _SILVER,
+            ),
+            SceneObject(
+                3, "truck_front", 70,
+                Path(((0, 420, 300), (90, 400, 330)), ((0, 1.0), (90, 1.3))), _BLUE,
+            ),
+        ),
+        frames=90,
+    ),
+    Scene(
         "waiting",
         "a van waits for four seconds, a walker passes before it; a parked car drives off",
         "town",
