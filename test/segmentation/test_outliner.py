@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 import pytest
 
 from support.drawn_clip import assert_sound, segmented
 from support.drawn_scene import ByteImage, jaccard, texture
+from turbseg_ros.factory import motion_segmenter
+from turbseg_ros.parameters import Parameters
+from turbseg_ros.segmentation.frame import Frame, segment
 
 SHAPE = (120, 320)
 SIDE, TOP = 24, 48
@@ -53,3 +57,31 @@ def test_what_goes_faster_than_flow_follows_is_outlined_whole(
     assert np.mean(overlaps) > least
     # An object and no ghost of it.
     assert all(len(result.objects) <= 1 for result in results)
+
+
+def closer(number: int) -> tuple[ByteImage, npt.NDArray[np.bool_]]:
+    """Draw what comes straight towards the camera, and where it is: its top stays in its place."""
+    shape, height, width = (240, 432), 60, 44
+    ground = texture(shape, seed=1).astype(np.float32)
+    drawn = texture((height, width), seed=2, low=10, high=110).astype(np.float32)
+    scale = 1.0 + 0.004 * number
+    left = 200.0 - 0.05 * number - width / 2 * (scale - 1.0)
+    to_image = np.array([[scale, 0.0, left], [0.0, scale, 80.0]])
+    size = shape[::-1]
+    inside = cv2.warpAffine(np.ones_like(drawn), to_image, size) > 0.5
+    ground[inside] = cv2.warpAffine(drawn, to_image, size)[inside]
+    noise = np.random.default_rng(number).normal(0.0, 2.0, shape)
+    return np.clip(ground + noise, 0, 255).astype(np.uint8), inside
+
+
+def test_what_comes_closer_on_the_spot_is_soon_outlined_whole() -> None:
+    # Its upper edge never moves, and its background is never seen.
+    clip = [closer(number) for number in range(70)]
+    frames = (Frame(n * 33_333_333, drawn, period=1 / 30) for n, (drawn, _) in enumerate(clip))
+    results = list(segment(frames, motion_segmenter(Parameters())))
+    overlaps = [
+        jaccard(result.labels > 0, inside)
+        for result, (_, inside) in zip(results, clip, strict=True)
+    ]
+    assert min(overlaps[46:]) > 0.75
+    assert {found.id for result in results for found in result.objects} == {1}

@@ -10,10 +10,11 @@ import numpy as np
 from support.drawn_scene import DrawnScene, Mask, jaccard
 from support.segmenters import ObservingRefiner, segmenter_refined_by
 from turbseg_ros.parameters import Parameters
-from turbseg_ros.segmentation.cropped_mask import Box
-from turbseg_ros.segmentation.foreground import AreaMasks, ObjectCrop
+from turbseg_ros.segmentation.background import AlignedFrame, unmasked
+from turbseg_ros.segmentation.cropped_mask import Box, CroppedMask
+from turbseg_ros.segmentation.foreground import AreaMasks, ObjectCrop, Surroundings
 from turbseg_ros.segmentation.frame import Frame, SegmentationResult
-from turbseg_ros.segmentation.refinement import refined_masks
+from turbseg_ros.segmentation.refinement import refined_masks, whole_crops
 
 SCENE = DrawnScene()
 FRAMES = [Frame(number, image) for number, image in enumerate(SCENE.images(20))]
@@ -86,3 +87,72 @@ def test_the_outline_of_what_rests_stays_where_it_is_expected() -> None:
     moving = replace(window, area=replace(window.area, probable=expected))
     (outline,) = refined_masks([moving], [wide])
     assert outline.box == Box(10, 5, 50, 35)
+
+
+class Painted:
+    """Takes the pixels of a mask for an object; remembers the boxes that it was asked about."""
+
+    def __init__(self, mask: Mask) -> None:
+        self._mask = mask
+        self.asked: list[Box] = []
+
+    def refine(self, crops: Sequence[ObjectCrop]) -> list[np.ndarray]:
+        self.asked += [crop.box for crop in crops]
+        return [self._mask[crop.box.slices].astype(np.float32) for crop in crops]
+
+
+def surroundings_of(*areas: Mask) -> Surroundings:
+    """Return what is known of a frame in some parts of which something moves."""
+    shape = areas[0].shape
+    nothing = np.zeros(shape, bool)
+    scene = np.zeros((*shape, 1), np.uint8)
+    return Surroundings(
+        image=scene,
+        search_mask=np.logical_or.reduce(areas),
+        probable=np.logical_or.reduce(areas),
+        certain=nothing,
+        views=[AlignedFrame(unmasked(scene), np.eye(3))],
+        parts=(),
+        motion=np.zeros(shape, np.float32),
+        tilt=0.5,
+    )
+
+
+def box_mask(shape: tuple[int, int], box: Box) -> Mask:
+    return CroppedMask(box, np.ones(box.shape, bool)).in_frame(shape)
+
+
+def test_a_crop_that_cuts_an_object_is_looked_at_with_room_around_it() -> None:
+    shape, whole = (120, 160), Box(60, 30, 100, 90)
+    # Flow shows the lower half.
+    lower = box_mask(shape, Box(60, 60, 100, 90))
+    painted = Painted(box_mask(shape, whole))
+    crops, probabilities = whole_crops(surroundings_of(lower), painted)
+    (outline,) = refined_masks(crops, probabilities)
+    assert outline.box == whole
+    first, second = painted.asked
+    # On the side that cuts it alone.
+    assert second == replace(first, y0=second.y0)
+    assert second.y0 < whole.y0
+
+
+def test_a_crop_that_cuts_nothing_is_looked_at_once() -> None:
+    shape, whole = (120, 160), Box(60, 60, 100, 90)
+    painted = Painted(box_mask(shape, whole))
+    crops, _ = whole_crops(surroundings_of(box_mask(shape, whole)), painted)
+    assert painted.asked == [crop.box for crop in crops]
+
+
+def test_what_the_picture_ends_with_has_no_room() -> None:
+    shape, whole = (120, 160), Box(130, 60, 160, 90)
+    painted = Painted(box_mask(shape, whole))
+    whole_crops(surroundings_of(box_mask(shape, whole)), painted)
+    assert len(painted.asked) == 1
+
+
+def test_a_wider_crop_leaves_another_areas_object_to_that_ones_crop() -> None:
+    shape, mine, other = (120, 160), Box(20, 40, 60, 90), Box(90, 40, 130, 90)
+    areas = box_mask(shape, Box(20, 60, 60, 90)), box_mask(shape, Box(90, 60, 130, 90))
+    painted = Painted(box_mask(shape, mine) | box_mask(shape, other))
+    outlines = refined_masks(*whole_crops(surroundings_of(*areas), painted))
+    assert sorted((outline.box for outline in outlines), key=lambda box: box.x0) == [mine, other]

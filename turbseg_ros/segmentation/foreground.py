@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -76,66 +77,106 @@ class ObjectCrop:
     tilt: float
 
 
-def object_crops(
-    image: ByteImage,
-    areas: Sequence[MovingArea],
-    views: Sequence[AlignedFrame],
-    motion: MotionEstimate,
-    tilt: float,
-    parts: Sequence[AlignedFrame] = (),
-) -> list[ObjectCrop]:
-    """Gather what is known of moving areas; those that touch are looked at together.
+@dataclass(frozen=True)
+class Surroundings:
+    """All that is known of a frame in which something moves; crops are cut out of it.
 
-    Where no view shows the scene, at once after the camera was turned to another, there is none.
-
-    :param image: HxWxC, the frame.
-    :param views: the scene at other times, for its background.
-    :param tilt: rms turbulent motion an axis in pixels.
-    :param parts: parts of the scene at other times, of which crops have those that lie in them.
+    `image` is HxWxC; `search_mask`, `probable` and `certain` hold those of all areas, HxW, see
+    `MovingArea`; `views` show the scene at other times, `parts` parts of it; `motion` is the
+    motion map M in units of its noise, of a size of its own; `tilt` is the rms turbulent motion an
+    axis in pixels.
     """
-    if not areas:
-        return []
-    shape = (image.shape[0], image.shape[1])
-    moving, probable, certain = (
-        union_mask(outlines, shape)
-        for outlines in (
-            [area.search_mask for area in areas],
-            [area.probable for area in areas],
-            [area.certain for area in areas],
-        )
-    )
-    strength = motion.motion_map / motion.noise
-    pieces, _ = cv2.findContours(moving.view(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
-    crops = []
-    for piece in reversed(pieces):
-        box = Box.of_rectangle(cv2.boundingRect(piece)).padded(_MARGIN, shape)
-        shown = [*views, *(part for part in parts if part.shows_of(box))]
-        if not shown:
-            continue
-        cut = box.slices
-        count, labels = cv2.connectedComponents(moving[cut].astype(np.uint8))
-        column, row = piece[0, 0] - (box.x0, box.y0)
-        mask = labels == labels[row, column]
-        # One label is the background's.
-        nearest = _nearer_to(mask, moving[cut]) if count > 2 else np.ones_like(mask)
-        crops.append(
-            ObjectCrop(
-                box=box,
-                image=np.ascontiguousarray(image[cut]),
-                views=shown,
-                area=AreaMasks(mask, probable[cut], certain[cut], nearest),
-                motion=_cropped(strength, box, shape),
-                tilt=tilt,
+
+    image: ByteImage
+    search_mask: Mask
+    probable: Mask
+    certain: Mask
+    views: Sequence[AlignedFrame]
+    parts: Sequence[AlignedFrame]
+    motion: Map
+    tilt: float
+
+    @classmethod
+    def of(
+        cls,
+        image: ByteImage,
+        areas: Sequence[MovingArea],
+        views: Sequence[AlignedFrame],
+        motion: MotionEstimate,
+        tilt: float,
+        parts: Sequence[AlignedFrame] = (),
+    ) -> Surroundings:
+        """Gather what is known of moving areas.
+
+        :param image: HxWxC, the frame.
+        :param views: the scene at other times, for its background.
+        :param tilt: rms turbulent motion an axis in pixels.
+        :param parts: parts of the scene at other times, of which crops have those that lie in
+            them.
+        """
+        shape = (image.shape[0], image.shape[1])
+        moving, probable, certain = (
+            union_mask(outlines, shape)
+            for outlines in (
+                [area.search_mask for area in areas],
+                [area.probable for area in areas],
+                [area.certain for area in areas],
             )
         )
-    return crops
+        strength = motion.motion_map / motion.noise
+        return cls(image, moving, probable, certain, views, parts, strength, tilt)
+
+    @functools.cached_property
+    def crops(self) -> list[ObjectCrop]:
+        """A crop for each area; those that touch are looked at together.
+
+        Where no view shows the scene, at once after the camera was turned to another, there is
+        none.
+        """
+        mode = cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE
+        pieces, _ = cv2.findContours(self.search_mask.view(np.uint8), *mode)
+        crops = []
+        for piece in reversed(pieces):
+            box = Box.of_rectangle(cv2.boundingRect(piece)).padded(_MARGIN, self._shape)
+            _, labels = cv2.connectedComponents(self.search_mask[box.slices].view(np.uint8))
+            column, row = piece[0, 0] - (box.x0, box.y0)
+            mask: Mask = labels == labels[row, column]
+            crop = self.cut_out(box, mask)
+            if crop.views:
+                crops.append(crop)
+        return crops
+
+    def wider(self, crop: ObjectCrop, box: Box) -> ObjectCrop:
+        """Return a crop with more around it: a box that holds its own."""
+        search_mask = CroppedMask(crop.box, crop.area.search_mask).within(box)
+        return self.cut_out(box, search_mask)
+
+    def cut_out(self, box: Box, search_mask: Mask) -> ObjectCrop:
+        """Return what is known of a part of the frame.
+
+        :param search_mask: hxw, where in it objects of this area are to be looked for.
+        """
+        cut = box.slices
+        others = self.search_mask[cut] & ~search_mask
+        nearest = _nearer_to(search_mask, others) if others.any() else np.ones_like(search_mask)
+        return ObjectCrop(
+            box=box,
+            image=np.ascontiguousarray(self.image[cut]),
+            views=[*self.views, *(part for part in self.parts if part.shows_of(box))],
+            area=AreaMasks(search_mask, self.probable[cut], self.certain[cut], nearest),
+            motion=_cropped(self.motion, box, self._shape),
+            tilt=self.tilt,
+        )
+
+    @property
+    def _shape(self) -> tuple[int, int]:
+        return self.image.shape[0], self.image.shape[1]
 
 
-def _nearer_to(part: Mask, all_parts: Mask) -> Mask:
-    """Return which pixels are nearer to a part than to all others, hxw."""
+def _nearer_to(part: Mask, others: Mask) -> Mask:
+    """Return which pixels are nearer to a part than to others, hxw."""
     here, there = (
-        cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, 3)
-        for mask in (part, all_parts & ~part)
+        cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, 3) for mask in (part, others)
     )
     nearer: Mask = here < there
     return nearer

@@ -24,12 +24,12 @@ from turbseg_ros.segmentation.exposure import (
     colour_exposure_between,
     exposure_between,
 )
-from turbseg_ros.segmentation.foreground import ObjectCrop, foreground_masks, object_crops
+from turbseg_ros.segmentation.foreground import Surroundings, foreground_masks
 from turbseg_ros.segmentation.geometry import middle_displacement, translation
 from turbseg_ros.segmentation.motion import MotionEstimate
 from turbseg_ros.segmentation.moving import Moving
 from turbseg_ros.segmentation.observer import StageObserver
-from turbseg_ros.segmentation.refinement import Refiner, refined_masks
+from turbseg_ros.segmentation.refinement import Refiner, refined_masks, whole_crops
 from turbseg_ros.segmentation.resolution import Resolution
 from turbseg_ros.segmentation.standing_out import Past, past_in, standing_areas
 from turbseg_ros.segmentation.stopped import StoppedObjects
@@ -52,33 +52,38 @@ _FOLLOWS = 0.4
 # Detail pixels from where a known object should be within which what stands out lies beside it,
 # and the share of it that must stand out to show it whole.
 _BESIDE, _WHOLE = 4, 0.8
-# Frames in which what leaves its place soon covers its own size.
-_COVERS = 12
+# Frames in which what leaves its place soon covers its own size; what is slow doesn't in those.
+_COVERS, _SLOW = 12, 48
 # Frames after which the past is seen anew, and how many pixels the camera may move meanwhile: what
 # a moving one brings into view is known sooner then.
 _RENEWED, _SAME_VIEW = 8, 1.0
-# A known object counts as resting when motion was found on less than this share of it.
-_RESTING = 0.6
+# Share of a known object on which something must be seen to move for it not to be looked for
+# where it should be: of one that comes closer flow shows a part only.
+_PARTLY, _WHOLLY = 0.6, 0.95
 # Share of an outline from which on it is what stands out, and no flow tells its velocity.
 _STANDING = 0.5
 
 Pixels = npt.NDArray[np.intp]
 """Rows, or columns, of pixels."""
-Crops = Callable[[], Sequence[ObjectCrop]]
-"""Gathers the crops in which objects are to be looked for; that costs some time."""
+Gather = Callable[[], Surroundings]
+"""Gathers what is known of a frame, and the crops to look for objects in: that costs time."""
 
 
 class OutlineMethod(Protocol):
     """Cuts objects out of a frame where something moves."""
 
-    def outlines(self, moving: Moving, crops: Crops, resolution: Resolution) -> list[CroppedMask]:
+    def outlines(
+        self, moving: Moving, gather: Gather, resolution: Resolution
+    ) -> list[CroppedMask]:
         """Return the outlines of what may be objects, at detail resolution."""
 
 
 class GrownRegions:
     """The paper's masks before they are refined: the regions of eq. 3 themselves."""
 
-    def outlines(self, moving: Moving, crops: Crops, resolution: Resolution) -> list[CroppedMask]:
+    def outlines(
+        self, moving: Moving, gather: Gather, resolution: Resolution
+    ) -> list[CroppedMask]:
         """Return the regions at detail resolution; see `OutlineMethod`."""
         sizes = resolution.detail, resolution.processing
         return [region.outline.resized(*sizes) for region in moving.regions]
@@ -93,9 +98,11 @@ class BackgroundDifference:
 
     threshold: float
 
-    def outlines(self, moving: Moving, crops: Crops, resolution: Resolution) -> list[CroppedMask]:
+    def outlines(
+        self, moving: Moving, gather: Gather, resolution: Resolution
+    ) -> list[CroppedMask]:
         """Return what stands out; see `OutlineMethod`."""
-        return foreground_masks(crops(), self.threshold)
+        return foreground_masks(gather().crops, self.threshold)
 
 
 @dataclass(frozen=True)
@@ -104,10 +111,11 @@ class RefinedDifference:
 
     refiner: Refiner
 
-    def outlines(self, moving: Moving, crops: Crops, resolution: Resolution) -> list[CroppedMask]:
+    def outlines(
+        self, moving: Moving, gather: Gather, resolution: Resolution
+    ) -> list[CroppedMask]:
         """Return what is rather object than background; see `OutlineMethod`."""
-        gathered = crops()
-        return refined_masks(gathered, self.refiner.refine(gathered))
+        return refined_masks(*whole_crops(gather(), self.refiner))
 
 
 @dataclass
@@ -181,18 +189,19 @@ class Outliner:
         looked_at = measured | standing
         known = [each.outline for each in expected]
 
-        def crops() -> Sequence[ObjectCrop]:
+        def gather() -> Surroundings:
             with self._observer.stage("crops"):
-                areas = [*moving.areas, *proposed, *_resting_areas(known, looked_at)]
+                areas = [*moving.areas, *proposed, *_known_areas(expected, looked_at)]
                 # With nothing to look at, the scene at other times need not be aligned.
                 views = self._aligned_frames(index, moving) if areas else []
                 before = self._stopped.views()
-                gathered = object_crops(image, areas, views, moving.motion, tilt, before)
-            self._observer.crops(stamp, gathered)
-            return gathered
+                here = Surroundings.of(image, areas, views, moving.motion, tilt, before)
+                crops = here.crops
+            self._observer.crops(stamp, crops)
+            return here
 
         with self._observer.stage("outlines"):
-            outlines = self._method.outlines(moving, crops, self._resolution)
+            outlines = self._method.outlines(moving, gather, self._resolution)
             outlines = _in_scene(outlines, overlays)
         seen_to_move = looked_at if moving.measured else standing
         found = [
@@ -377,9 +386,9 @@ def _apart_or_whole(
     ]
 
 
-def _leaves_soon(expected: Detection) -> bool:
+def _leaves_soon(expected: Detection, frames: float = _COVERS) -> bool:
     """Whether an object is so fast that the past knows its place without it, all but at once."""
-    return float(np.hypot(*expected.velocity)) * _COVERS > float(np.hypot(*expected.box.shape))
+    return float(np.hypot(*expected.velocity)) * frames > float(np.hypot(*expected.box.shape))
 
 
 def _shows_whole(expected: CroppedMask, mask: CroppedMask, frame: Mask) -> bool:
@@ -388,13 +397,25 @@ def _shows_whole(expected: CroppedMask, mask: CroppedMask, frame: Mask) -> bool:
     return common > max(_KNOWN * mask.area, _WHOLE * expected.area)
 
 
-def _resting_areas(expected: Sequence[CroppedMask], moving: Mask) -> list[MovingArea]:
-    """Return where known objects should be that no motion was found for."""
-    return [
-        MovingArea(mask.dilated(GUARD + 1, moving.shape), EMPTY_MASK, EMPTY_MASK, (0.0, 0.0))
-        for mask in expected
-        if mask.intersection_area(moving) < _RESTING * mask.area
-    ]
+def _known_areas(expected: Sequence[Detection], moving: Mask) -> list[MovingArea]:
+    """Return where known objects should be on which not all was found to move.
+
+    A part is enough of those that aren't slow, for flow shows them, and what else would be taken
+    for a part is what they leave; and of those that others are near.
+    """
+    around = [each.outline.dilated(GUARD + 1, moving.shape) for each in expected]
+    areas = []
+    for each, wider in zip(expected, around, strict=True):
+        seen = each.outline.intersection_area(moving) / max(each.area, 1)
+        partly = _leaves_soon(each, _SLOW) or _is_near(wider, around)
+        if seen < (_PARTLY if partly else _WHOLLY):
+            areas.append(MovingArea(wider, EMPTY_MASK, EMPTY_MASK, (0.0, 0.0)))
+    return areas
+
+
+def _is_near(mask: CroppedMask, others: Sequence[CroppedMask]) -> bool:
+    """Whether a mask has pixels in common with another of some masks, one of which it is."""
+    return any(mask.shares_pixels(other) for other in others if other is not mask)
 
 
 def _detection(
