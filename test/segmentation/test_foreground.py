@@ -70,7 +70,7 @@ def area_around(*objects: Mask, margin: int = 7) -> MovingArea:
 
 def cut_out(image: np.ndarray, areas: list[MovingArea], views: list[AlignedFrame]) -> list[Mask]:
     """The outlines' masks, each of the whole frame."""
-    windows = Surroundings.of(image, areas, views, STILL, TILT).crops
+    windows = Surroundings(image, areas, views, STILL, TILT).crops
     return [outline.in_frame(SHAPE) for outline in foreground_masks(windows, THRESHOLD)]
 
 
@@ -163,7 +163,7 @@ def test_a_crop_leaves_what_is_nearer_to_another_area_to_that_ones_crop() -> Non
     upper, lower = rectangle(40, 20, 80, 40), rectangle(60, 46, 100, 66)
     areas = [area_around(each, margin=2) for each in (upper, lower)]
     ground = ground_of(1)
-    crops = Surroundings.of(ground, areas, still_views(ground), STILL, TILT).crops
+    crops = Surroundings(ground, areas, still_views(ground), STILL, TILT).crops
     assert crops[0].box.intersection(crops[1].box) is not None
     judged = [(upper | lower)[crop.box.slices].astype(np.float32) for crop in crops]
     found = refined_masks(crops, judged)
@@ -258,7 +258,7 @@ def test_the_guided_filter_keeps_the_edges_of_its_guide() -> None:
 
 
 def test_nothing_is_cut_out_where_no_other_frame_shows_the_scene() -> None:
-    assert Surroundings.of(ground_of(1), [area_around(CAR)], [], STILL, TILT).crops == []
+    assert Surroundings(ground_of(1), [area_around(CAR)], [], STILL, TILT).crops == []
 
 
 def test_the_motion_of_a_window_lies_where_the_picture_does() -> None:
@@ -266,7 +266,7 @@ def test_the_motion_of_a_window_lies_where_the_picture_does() -> None:
     motion_map[15:27, 30:48] = 3.0
     moved = dataclasses.replace(STILL, motion_map=motion_map, noise=np.full((48, 80), 0.5, "f4"))
     image = ground_of(1)
-    (window,) = Surroundings.of(image, [area_around(CAR)], still_views(image), moved, TILT).crops
+    (window,) = Surroundings(image, [area_around(CAR)], still_views(image), moved, TILT).crops
     assert window.motion.max() == 6.0
     expected = CAR[window.box.slices]
     assert jaccard(window.motion > 3.0, expected) > 0.98

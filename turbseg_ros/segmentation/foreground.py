@@ -81,50 +81,17 @@ class ObjectCrop:
 class Surroundings:
     """All that is known of a frame in which something moves; crops are cut out of it.
 
-    `image` is HxWxC; `search_mask`, `probable` and `certain` hold those of all areas, HxW, see
-    `MovingArea`; `views` show the scene at other times, `parts` parts of it; `motion` is the
-    motion map M in units of its noise, of a size of its own; `tilt` is the rms turbulent motion an
-    axis in pixels.
+    `image` is HxWxC; `views` show the scene at other times, for its background, and `parts` parts
+    of it, of which crops have those that lie in them; `tilt` is the rms turbulent motion an axis
+    in pixels.
     """
 
     image: ByteImage
-    search_mask: Mask
-    probable: Mask
-    certain: Mask
+    areas: Sequence[MovingArea]
     views: Sequence[AlignedFrame]
-    parts: Sequence[AlignedFrame]
-    motion: Map
+    motion: MotionEstimate
     tilt: float
-
-    @classmethod
-    def of(
-        cls,
-        image: ByteImage,
-        areas: Sequence[MovingArea],
-        views: Sequence[AlignedFrame],
-        motion: MotionEstimate,
-        tilt: float,
-        parts: Sequence[AlignedFrame] = (),
-    ) -> Surroundings:
-        """Gather what is known of moving areas.
-
-        :param image: HxWxC, the frame.
-        :param views: the scene at other times, for its background.
-        :param tilt: rms turbulent motion an axis in pixels.
-        :param parts: parts of the scene at other times, of which crops have those that lie in
-            them.
-        """
-        shape = (image.shape[0], image.shape[1])
-        moving, probable, certain = (
-            union_mask(outlines, shape)
-            for outlines in (
-                [area.search_mask for area in areas],
-                [area.probable for area in areas],
-                [area.certain for area in areas],
-            )
-        )
-        strength = motion.motion_map / motion.noise
-        return cls(image, moving, probable, certain, views, parts, strength, tilt)
+    parts: Sequence[AlignedFrame] = ()
 
     @functools.cached_property
     def crops(self) -> list[ObjectCrop]:
@@ -133,12 +100,14 @@ class Surroundings:
         Where no view shows the scene, at once after the camera was turned to another, there is
         none.
         """
+        if not self.areas:
+            return []
         mode = cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE
-        pieces, _ = cv2.findContours(self.search_mask.view(np.uint8), *mode)
+        pieces, _ = cv2.findContours(self._search_mask.view(np.uint8), *mode)
         crops = []
         for piece in reversed(pieces):
             box = Box.of_rectangle(cv2.boundingRect(piece)).padded(_MARGIN, self._shape)
-            _, labels = cv2.connectedComponents(self.search_mask[box.slices].view(np.uint8))
+            _, labels = cv2.connectedComponents(self._search_mask[box.slices].view(np.uint8))
             column, row = piece[0, 0] - (box.x0, box.y0)
             mask: Mask = labels == labels[row, column]
             crop = self.cut_out(box, mask)
@@ -157,20 +126,37 @@ class Surroundings:
         :param search_mask: hxw, where in it objects of this area are to be looked for.
         """
         cut = box.slices
-        others = self.search_mask[cut] & ~search_mask
+        others = self._search_mask[cut] & ~search_mask
         nearest = _nearer_to(search_mask, others) if others.any() else np.ones_like(search_mask)
         return ObjectCrop(
             box=box,
             image=np.ascontiguousarray(self.image[cut]),
             views=[*self.views, *(part for part in self.parts if part.shows_of(box))],
-            area=AreaMasks(search_mask, self.probable[cut], self.certain[cut], nearest),
-            motion=_cropped(self.motion, box, self._shape),
+            area=AreaMasks(search_mask, self._probable[cut], self._certain[cut], nearest),
+            motion=_cropped(self._strength, box, self._shape),
             tilt=self.tilt,
         )
 
     @property
     def _shape(self) -> tuple[int, int]:
         return self.image.shape[0], self.image.shape[1]
+
+    @functools.cached_property
+    def _search_mask(self) -> Mask:
+        return union_mask([area.search_mask for area in self.areas], self._shape)
+
+    @functools.cached_property
+    def _probable(self) -> Mask:
+        return union_mask([area.probable for area in self.areas], self._shape)
+
+    @functools.cached_property
+    def _certain(self) -> Mask:
+        return union_mask([area.certain for area in self.areas], self._shape)
+
+    @functools.cached_property
+    def _strength(self) -> Map:
+        """The motion map M in units of its noise, at processing resolution."""
+        return self.motion.motion_map / self.motion.noise
 
 
 def _nearer_to(part: Mask, others: Mask) -> Mask:

@@ -195,7 +195,7 @@ class Outliner:
                 # With nothing to look at, the scene at other times need not be aligned.
                 views = self._aligned_frames(index, moving) if areas else []
                 before = self._stopped.views()
-                here = Surroundings.of(image, areas, views, moving.motion, tilt, before)
+                here = Surroundings(image, areas, views, moving.motion, tilt, before)
                 crops = here.crops
             self._observer.crops(stamp, crops)
             return here
