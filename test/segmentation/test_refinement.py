@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from support.drawn_scene import DrawnScene, Mask, jaccard
+from support.drawn_scene import DrawnScene, Mask, jaccard, rectangle
 from support.segmenters import ObservingRefiner, segmenter_refined_by
 from turbseg_ros.parameters import Parameters
 from turbseg_ros.segmentation.areas import MovingArea
@@ -21,6 +21,8 @@ from turbseg_ros.segmentation.refinement import refined_masks, whole_crops
 SCENE = DrawnScene()
 FRAMES = [Frame(number, image) for number, image in enumerate(SCENE.images(20))]
 PARAMETERS = Parameters.from_mapping({"resolution.processing": 160})
+# Of frames that are painted here, not drawn.
+SHAPE = (120, 160)
 
 
 class Oracle(ObservingRefiner):
@@ -120,41 +122,38 @@ def surroundings_of(*areas: Mask) -> Surroundings:
     return Surroundings(scene, moving, [AlignedFrame(unmasked(scene), np.eye(3))], still, 0.5)
 
 
-def box_mask(shape: tuple[int, int], box: Box) -> Mask:
-    return CroppedMask(box, np.ones(box.shape, bool)).in_frame(shape)
-
-
 def test_a_crop_that_cuts_an_object_is_looked_at_with_room_around_it() -> None:
-    shape, whole = (120, 160), Box(60, 30, 100, 90)
+    whole = 60, 30, 100, 90
     # Flow shows the lower half.
-    lower = box_mask(shape, Box(60, 60, 100, 90))
-    painted = Painted(box_mask(shape, whole))
+    lower = rectangle(60, 60, 100, 90, shape=SHAPE)
+    painted = Painted(rectangle(*whole, shape=SHAPE))
     crops, probabilities = whole_crops(surroundings_of(lower), painted)
     (outline,) = refined_masks(crops, probabilities)
-    assert outline.box == whole
+    assert outline.box == Box(*whole)
     first, second = painted.asked
     # On the side that cuts it alone.
     assert second == replace(first, y0=second.y0)
-    assert second.y0 < whole.y0
+    assert second.y0 < whole[1]
 
 
 def test_a_crop_that_cuts_nothing_is_looked_at_once() -> None:
-    shape, whole = (120, 160), Box(60, 60, 100, 90)
-    painted = Painted(box_mask(shape, whole))
-    crops, _ = whole_crops(surroundings_of(box_mask(shape, whole)), painted)
+    whole = 60, 60, 100, 90
+    painted = Painted(rectangle(*whole, shape=SHAPE))
+    crops, _ = whole_crops(surroundings_of(rectangle(*whole, shape=SHAPE)), painted)
     assert painted.asked == [crop.box for crop in crops]
 
 
 def test_what_the_picture_ends_with_has_no_room() -> None:
-    shape, whole = (120, 160), Box(130, 60, 160, 90)
-    painted = Painted(box_mask(shape, whole))
-    whole_crops(surroundings_of(box_mask(shape, whole)), painted)
+    whole = 130, 60, 160, 90
+    painted = Painted(rectangle(*whole, shape=SHAPE))
+    whole_crops(surroundings_of(rectangle(*whole, shape=SHAPE)), painted)
     assert len(painted.asked) == 1
 
 
 def test_a_wider_crop_leaves_another_areas_object_to_that_ones_crop() -> None:
-    shape, mine, other = (120, 160), Box(20, 40, 60, 90), Box(90, 40, 130, 90)
-    areas = box_mask(shape, Box(20, 60, 60, 90)), box_mask(shape, Box(90, 60, 130, 90))
-    painted = Painted(box_mask(shape, mine) | box_mask(shape, other))
+    mine, other = (20, 40, 60, 90), (90, 40, 130, 90)
+    areas = rectangle(20, 60, 60, 90, shape=SHAPE), rectangle(90, 60, 130, 90, shape=SHAPE)
+    painted = Painted(rectangle(*mine, shape=SHAPE) | rectangle(*other, shape=SHAPE))
     outlines = refined_masks(*whole_crops(surroundings_of(*areas), painted))
-    assert sorted((outline.box for outline in outlines), key=lambda box: box.x0) == [mine, other]
+    found = sorted((outline.box for outline in outlines), key=lambda box: box.x0)
+    assert found == [Box(*mine), Box(*other)]

@@ -93,6 +93,11 @@ class Surroundings:
     tilt: float
     parts: Sequence[AlignedFrame] = ()
 
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the frame."""
+        return self.image.shape[0], self.image.shape[1]
+
     @functools.cached_property
     def crops(self) -> list[ObjectCrop]:
         """A crop for each area; those that touch are looked at together.
@@ -106,11 +111,11 @@ class Surroundings:
         pieces, _ = cv2.findContours(self._search_mask.view(np.uint8), *mode)
         crops = []
         for piece in reversed(pieces):
-            box = Box.of_rectangle(cv2.boundingRect(piece)).padded(_MARGIN, self._shape)
+            box = Box.of_rectangle(cv2.boundingRect(piece)).padded(_MARGIN, self.shape)
             _, labels = cv2.connectedComponents(self._search_mask[box.slices].view(np.uint8))
             column, row = piece[0, 0] - (box.x0, box.y0)
             mask: Mask = labels == labels[row, column]
-            crop = self.cut_out(box, mask)
+            crop = self._cut_out(box, mask)
             if crop.views:
                 crops.append(crop)
         return crops
@@ -118,9 +123,9 @@ class Surroundings:
     def wider(self, crop: ObjectCrop, box: Box) -> ObjectCrop:
         """Return a crop with more around it: a box that holds its own."""
         search_mask = CroppedMask(crop.box, crop.area.search_mask).within(box)
-        return self.cut_out(box, search_mask)
+        return self._cut_out(box, search_mask)
 
-    def cut_out(self, box: Box, search_mask: Mask) -> ObjectCrop:
+    def _cut_out(self, box: Box, search_mask: Mask) -> ObjectCrop:
         """Return what is known of a part of the frame.
 
         :param search_mask: hxw, where in it objects of this area are to be looked for.
@@ -133,25 +138,21 @@ class Surroundings:
             image=np.ascontiguousarray(self.image[cut]),
             views=[*self.views, *(part for part in self.parts if part.shows_of(box))],
             area=AreaMasks(search_mask, self._probable[cut], self._certain[cut], nearest),
-            motion=_cropped(self._strength, box, self._shape),
+            motion=_cropped(self._strength, box, self.shape),
             tilt=self.tilt,
         )
 
-    @property
-    def _shape(self) -> tuple[int, int]:
-        return self.image.shape[0], self.image.shape[1]
-
     @functools.cached_property
     def _search_mask(self) -> Mask:
-        return union_mask([area.search_mask for area in self.areas], self._shape)
+        return union_mask([area.search_mask for area in self.areas], self.shape)
 
     @functools.cached_property
     def _probable(self) -> Mask:
-        return union_mask([area.probable for area in self.areas], self._shape)
+        return union_mask([area.probable for area in self.areas], self.shape)
 
     @functools.cached_property
     def _certain(self) -> Mask:
-        return union_mask([area.certain for area in self.areas], self._shape)
+        return union_mask([area.certain for area in self.areas], self.shape)
 
     @functools.cached_property
     def _strength(self) -> Map:

@@ -387,7 +387,10 @@ def _apart_or_whole(
 
 
 def _leaves_soon(expected: Detection, frames: float = _COVERS) -> bool:
-    """Whether an object is so fast that the past knows its place without it, all but at once."""
+    """Whether an object is so fast that the past knows its place without it, all but at once.
+
+    :param frames: those in which it covers its own size.
+    """
     return float(np.hypot(*expected.velocity)) * frames > float(np.hypot(*expected.box.shape))
 
 

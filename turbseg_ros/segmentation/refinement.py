@@ -38,11 +38,10 @@ def whole_crops(
     """
     whole = list(surroundings.crops)
     probabilities = refiner.refine(whole)
-    shape = surroundings.image.shape[:2]
     cut = {
         number: box
         for number, (crop, probability) in enumerate(zip(whole, probabilities, strict=True))
-        if (box := _roomy_box(crop, probability, shape)) != crop.box
+        if (box := _roomy_box(crop, probability, surroundings.shape)) != crop.box
     }
     wider = [surroundings.wider(whole[number], box) for number, box in cut.items()]
     seen = zip(cut, wider, refiner.refine(wider) if wider else [], strict=True)
@@ -75,13 +74,13 @@ def _object_mask(crop: ObjectCrop, probability: Map) -> Mask:
     return mask
 
 
-def _roomy_box(crop: ObjectCrop, probability: Map, shape: tuple[int, ...]) -> Box:
+def _roomy_box(crop: ObjectCrop, probability: Map, shape: tuple[int, int]) -> Box:
     """Return the crop's box, wider on the sides that cut what is outlined there.
 
     :param shape: the frame's.
     """
     mask, box = _object_mask(crop, probability), crop.box
-    (height, width), (rows, columns) = mask.shape, shape[:2]
+    (height, width), (rows, columns) = box.shape, shape
     # The network is less sure at a crop's border.
     across, down = (max(1, round(_RIM * side)) for side in (width, height))
     more_x, more_y = (max(_LEAST_ROOM, int(_ROOM * side)) for side in (width, height))

@@ -413,7 +413,7 @@ class Path:
         """Return the positions at frames 0 to `frames` - 1, float64 Nx2; held beyond the ends."""
         return _interpolated(self.waypoints, frames)
 
-    def sizes(self, frames: int) -> npt.NDArray[np.float64]:
+    def scale_factors(self, frames: int) -> npt.NDArray[np.float64]:
         """Return by how much it is scaled at frames 0 to `frames` - 1, float64 N."""
         return _interpolated(self.scales or ((0.0, 1.0),), frames)[:, 0]
 

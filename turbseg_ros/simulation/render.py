@@ -151,7 +151,7 @@ class _Actor:
         self._kind = KINDS[actor.kind]
         self._sprite = Sprite(actor, scene.thermal, rng)
         self._positions = actor.path.positions(scene.frames)
-        self._sizes = actor.path.sizes(scene.frames)
+        self._scales = actor.path.scale_factors(scene.frames)
         self._velocities = np.gradient(self._positions, axis=0) if scene.frames > 1 else None
         self._offset = float(rng.random())
 
@@ -159,7 +159,7 @@ class _Actor:
         x, y = self._positions[index]
         backward, pitch = self._heading(index)
         phase = (index / self._kind.cycle_frames + self._offset) % 1.0
-        scale = float(self._sizes[index])
+        scale = float(self._scales[index])
         pose = Pose(float(x), float(y), pitch, backward, scale)
         return self._sprite.place(phase, pose, to_picture)
 
