@@ -258,23 +258,32 @@ def test_what_waited_while_the_node_was_disabled_is_not_its_first_image(tmp_path
 
 
 @pytest.mark.parametrize(
-    ("topic", "told"),
+    ("topic", "reason", "diagnosed"),
     [
-        ("/mute_lens/image_raw", "nobody publishes it; image topics: "),
-        ("/mute/image_raw", "/mute/image_raw carries sensor_msgs/msg/CompressedImage, not "),
+        (
+            "/mute_lens/image_raw",
+            "nobody publishes it; image topics: ",
+            "no image yet on /mute/image_raw (0 publishers)",
+        ),
+        (
+            "/mute/image_raw",
+            "/mute/image_raw carries sensor_msgs/msg/CompressedImage, not ",
+            "/mute/image_raw carries sensor_msgs/msg/CompressedImage, not ",
+        ),
     ],
 )
-def test_silence_names_the_images_that_there_are(tmp_path, probe, topic, told):
+def test_silence_names_the_images_that_there_are(tmp_path, probe, topic, reason, diagnosed):
     advertised = f"{topic}/compressed" if "lens" in topic else topic
     publisher = probe.advertise(advertised, CompressedImage, heard=False)
     with stub_node(tmp_path / "output", "-r", "__ns:=/mute") as node:
         diagnostics = probe.listen("/diagnostics", DiagnosticArray)
-        probe.wait_for(lambda: "no image on /mute/image_raw for " in node.output, "a warning")
-        probe.wait_for(lambda: diagnostics, "diagnostics")
+        # A first warning may come before the node has heard of the publisher.
+        probe.wait_for(lambda: lines(node, reason), "a warning")
+        probe.wait_for(lambda: told(diagnostics, diagnosed), "diagnostics")
         assert node.stop(signal.SIGINT) == 0
-    (warning,) = lines(node, "no image on")
+    warning = lines(node, reason)[-1]
     assert "[WARN]" in warning
-    assert told in warning
+    assert "no image on /mute/image_raw for " in warning
     assert f"-r image_raw:={topic} -p image_transport:=compressed" in warning
     # As it says.
     _, _, arguments = warning.rpartition("take it with ")
@@ -284,9 +293,6 @@ def test_silence_names_the_images_that_there_are(tmp_path, probe, topic, told):
             assert node.stop(signal.SIGINT) == 0
     # Its own outputs are no cameras.
     assert "turbseg/" not in warning.partition("no image")[2]
-    status = diagnostics[-1].status[0]
-    assert ("CompressedImage" in status.message) == (topic == "/mute/image_raw")
-    assert "(0 publishers)" in status.message or "CompressedImage" in status.message
     probe.withdraw(publisher)
 
 
