@@ -18,6 +18,7 @@ from turbseg_ros.learning.torch_import import NetworkError, require_torch
 from turbseg_ros.parameters import ParameterError, Parameters
 from turbseg_ros.region_file import marked_regions
 from turbseg_ros.segmentation.average import MeanAverage, SlopeAverage
+from turbseg_ros.segmentation.expansion import as_grown, expanded
 from turbseg_ros.segmentation.flow import DisFlow, FlowBackend
 from turbseg_ros.segmentation.kalman_tracker import KalmanTracker
 from turbseg_ros.segmentation.kmeans_ids import KMeansIds
@@ -90,6 +91,10 @@ def strategies(parameters: Parameters) -> Strategies:
         flow=_chosen("flow.backend", p, _FLOWS),
         measure=_chosen("motion.measure", p, _MEASURES),
         similarity=_chosen("growing.similarity", p, _SIMILARITIES),
+        # Only regions of one velocity can have a scale besides.
+        expand=expanded
+        if p.growing.expansion and p.growing.similarity == "velocity"
+        else as_grown,
         outlines=_chosen("outline.method", p, _OUTLINES),
         tracker=_chosen("tracking.mode", p, _TRACKERS),
         regions=marked_regions(p.regions),

@@ -323,6 +323,12 @@ class MotionParameters:
         read_only=True,
         extensible=True,
     )
+    averaging: bool = parameter(
+        True,
+        "Look at motion averaged over measurements, too, while the camera nearly stands: what "
+        "comes closer, or is far away, may be too slow for one.",
+        read_only=True,
+    )
 
 
 @dataclass(frozen=True)
@@ -399,6 +405,12 @@ class GrowingParameters:
         # one region takes the whole picture.
         minimum=0.05,
         maximum=0.8,
+    )
+    expansion: bool = parameter(
+        True,
+        "Let regions that share a velocity go on where their motion does, with a scale of its "
+        "own: what comes closer or goes.",
+        read_only=True,
     )
 
 

@@ -6,9 +6,8 @@ even travels. The pictures tell: invented motion makes no neighbour more like th
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -46,6 +45,14 @@ class PictureEvidence:
     grey: ByteImage
     neighbours: Mapping[int, ByteImage]
     flows: Mapping[int, Flow]
+    # Mean absolute difference of grey values that noise makes to neighbours asked for so far.
+    _known_noise: dict[int, float] = field(default_factory=dict, repr=False, compare=False)
+
+    def of(self, intervals: Collection[int]) -> PictureEvidence:
+        """Return the evidence of the neighbours at some intervals alone."""
+        return replace(
+            self, neighbours={k: seen for k, seen in self.neighbours.items() if k in intervals}
+        )
 
     def gain(self, x: Points, y: Points, size: int) -> Map:
         """Return by how much the flows explain windows better than rest does, in units of noise.
@@ -70,7 +77,7 @@ class PictureEvidence:
             at_rest = neighbour.ravel()[place]
             along_flow = _along_flow(neighbour, self.flows[k], place)
             difference = np.abs(here - at_rest) - np.abs(here - along_flow)
-            total += _strongest(difference, size) / np.float32(self._noise[k])
+            total += _strongest(difference, size) / np.float32(self._noise_to(k))
         return total / np.float32(len(self.neighbours))
 
     def confirmed(self, strength: Map, size: int, least: float) -> Map:
@@ -91,7 +98,7 @@ class PictureEvidence:
         """Return around which pixels there is something that flow can hold on to, HxW."""
         # Nine values of noise range over three standard deviations, and a difference of two
         # deviates by 1.13 on average.
-        noise = max(self._noise.values(), default=_ROUNDING)
+        noise = max(map(self._noise_to, self.neighbours), default=_ROUNDING)
         contrast = cv2.blur(local_range(self.grey), (_PATCH, _PATCH))
         return np.asarray(contrast > _TEXTURED * 3.0 * noise / 1.13)
 
@@ -114,12 +121,12 @@ class PictureEvidence:
             followed &= _mean_nearby(cv2.absdiff(self.grey, along_flow)) < least
         return followed if np.count_nonzero(followed) > _MUCH * followed.size else None
 
-    @functools.cached_property
-    def _noise(self) -> dict[int, float]:
-        """Mean absolute difference of grey values that noise makes to each neighbour."""
-        return {k: self._noise_to(k) for k in self.neighbours}
-
     def _noise_to(self, k: int) -> float:
+        if k not in self._known_noise:
+            self._known_noise[k] = self._measured_noise(k)
+        return self._known_noise[k]
+
+    def _measured_noise(self, k: int) -> float:
         points = pixel_grid((self.grey.shape[0], self.grey.shape[1]), _NOISE_STEP).astype(np.intp)
         place = points[..., 1] * self.grey.shape[1] + points[..., 0]
         here = self.grey.ravel()[place].astype(np.float32)

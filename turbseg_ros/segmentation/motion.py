@@ -43,7 +43,8 @@ class MotionEstimate:
     which pixels had enough neighbours. `clutter` is by how much each cell of the scene is known to
     move without anything being there, hxw in pixels a frame, see `clutter.ClutterMemory`; None
     where nothing is known. `disorder` is what the tilt would be if flow followed the picture
-    everywhere: more than that where it fails; NaN as well where it isn't measured.
+    everywhere: more than that where it fails; NaN as well where it isn't measured. `intervals` are
+    those to the neighbours that it was measured with.
     """
 
     velocity: Flow
@@ -54,6 +55,7 @@ class MotionEstimate:
     ego_motion_model: str
     clutter: Map | None = None
     disorder: float = float("nan")
+    intervals: Sequence[int] = ()
 
 
 class MotionMeasure(Protocol):
@@ -200,7 +202,7 @@ def _estimates(
 ) -> list[MotionEstimate]:
     """Average flows over each baseline of the average."""
     return [
-        _estimate(*average(_of(flows, those), _of(valid, those)), tilt, ego_motion_model)
+        _estimate(*average(_of(flows, those), _of(valid, those)), tilt, ego_motion_model, those)
         for those in average.baselines(list(flows), interval)
     ]
 
@@ -210,11 +212,15 @@ def _of(maps: Mapping[int, Map], intervals: Sequence[int]) -> dict[int, Map]:
 
 
 def _estimate(
-    velocity: Flow, uncertainty: Map, tilt: float, ego_motion_model: str
+    velocity: Flow,
+    uncertainty: Map,
+    tilt: float,
+    ego_motion_model: str,
+    intervals: Sequence[int],
 ) -> MotionEstimate:
     visible = np.isfinite(uncertainty)
     motion_map = geometry.lengths(*cv2.split(velocity))
-    unit = _robust_deviation((_sample(motion_map) / _sample(uncertainty))[_sample(visible)])
+    unit = noise_deviation(motion_map, uncertainty, visible)
     uncertainty = np.where(visible, uncertainty, np.float32(1.0))
     noise = np.maximum(np.float32(unit) * uncertainty, np.float32(_MIN_NOISE))
     return MotionEstimate(
@@ -225,7 +231,17 @@ def _estimate(
         visible=visible,
         ego_motion_model=ego_motion_model,
         disorder=tilt,
+        intervals=intervals,
     )
+
+
+def noise_deviation(motion_map: Map, noise: Map, visible: Mask) -> float:
+    """Return what a map's noise must be taken by to be that of most of what is visible.
+
+    :param motion_map: HxW lengths of vectors, most of which are noise.
+    :param noise: HxW, their standard deviation an axis, in units unknown.
+    """
+    return _robust_deviation((_sample(motion_map) / _sample(noise))[_sample(visible)])
 
 
 def agree(motion: MotionEstimate, other: MotionEstimate) -> Mask:
@@ -288,6 +304,7 @@ def sampson_motion(
         visible=visible,
         ego_motion_model="fundamental",
         disorder=tilt,
+        intervals=tuple(flows),
     )
 
 

@@ -48,6 +48,9 @@ class Moving:
 def what_moves(motions: Sequence[MotionEstimate], grow: Grow, size: tuple[int, int]) -> Moving:
     """Grow regions over a short baseline, and over longer ones where what is slower moves.
 
+    What the baseline before found is left out, with the smear beside it. What one before that
+    found is not: if it moves as it did then, more of it may be seen now.
+
     :param motions: estimates over the short baseline and, if any, longer ones.
     :param grow: grows the regions of one estimate.
     :param size: width and height at detail resolution.

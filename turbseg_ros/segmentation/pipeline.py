@@ -5,6 +5,7 @@
     eq. 2    geometric consistency     motion.AffineMotion; geometry.sampson_distance
              seeds                     region_growing.seed_strength; evidence.PictureEvidence
     eq. 3    seeded region growing     region_growing.similar_velocity; similar_magnitude
+             what comes closer         velocity_memory, expansion.expanded (not in the paper)
              small targets             small_targets.TargetTracks (not in the paper)
              what stands out           standing_out.standing_areas (not in the paper)
     eq. 4    mask ids                  kalman_tracker.KalmanTracker; kmeans_ids.kmeans_ids
@@ -77,7 +78,7 @@ class Pipeline:
             observer,
             self._travelled_objects,
         )
-        self._scene = SceneMemory(parameters.regions.static_overlays)
+        self._scene = SceneMemory(parameters.regions.static_overlays, parameters.motion.averaging)
         self._targets = TargetTracks()
         self._regions = strategies.regions.fitted(resolution)
         self._tracked = -1  # The last frame's index.
@@ -152,17 +153,17 @@ class Pipeline:
         with self._observer.stage("motion map"):
             overlay = self._scene.overlay(neighbourhood, aligned)
             valid = neighbourhood.valid(overlay)
-            near = {k: aligned[k] for k in aligned if abs(k) <= SHORT_BASELINE * job.interval}
-            evidence = PictureEvidence(neighbourhood.grey, near or aligned, flows)
+            evidence = PictureEvidence(neighbourhood.grey, aligned, flows)
+            near = evidence.of([k for k in aligned if abs(k) <= SHORT_BASELINE * job.interval])
             known = neighbourhood.camera_known
-            seen = None if known else replace(evidence, neighbours=aligned).textured()
-            measure = measure_for(self._strategies.measure, seen, evidence.followed)
+            seen = None if known else evidence.textured()
+            measure = measure_for(self._strategies.measure, seen, near.followed)
             motions = measure.motions(flows, valid, job.interval)
         # Seeds that the pictures confirm, and the regions that grow from them (eq. 3).
         with self._observer.stage("region growing"):
             shape = self.resolution.processing_shape
             objects = cells_of_objects(job.objects, self.resolution.detail, shape)
-            motions = self._scene.with_clutter(motions, evidence.textured(), objects)
+            motions = self._scene.with_memory(motions, near.textured(), objects, known)
             grow = functools.partial(self._grow, evidence, objects)
             moving = what_moves(motions, grow, self.resolution.detail)
         return replace(moving, overlay=overlay)
@@ -189,12 +190,11 @@ class Pipeline:
     def _grow(
         self, evidence: PictureEvidence, objects: Mask, motion: MotionEstimate, taken: Mask
     ) -> list[Region]:
-        seed, growing = self._parameters.seed, self._parameters.growing
+        seed = self._parameters.seed
         noise = with_clutter(motion.noise, motion.clutter, seed.clutter)
         with_clutter_noise = replace(motion, noise=self._regions.without_seeds(noise, objects))
         strength = seed_strength(with_clutter_noise, seed.size, seed.delta1, seed.delta2)
-        strength = evidence.confirmed(strength, seed.size, seed.evidence)
-        similarity = self._strategies.similarity
-        return grow_regions(
-            motion, strength, seed.size, growing.delta, similarity, MIN_REGION, taken
-        )
+        strength = evidence.of(motion.intervals).confirmed(strength, seed.size, seed.evidence)
+        delta, similar = self._parameters.growing.delta, self._strategies.similarity
+        regions = grow_regions(motion, strength, seed.size, delta, similar, MIN_REGION, taken)
+        return self._strategies.expand(regions, motion, taken)

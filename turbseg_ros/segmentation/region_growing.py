@@ -106,7 +106,7 @@ def grow_regions(
     regions = []
     for seed in _seeds(motion, strength, occupancy, size):
         candidates = similarity(motion, seed, delta) & (occupancy == _FREE) & motion.visible
-        grown = _connected_to(seed, candidates)
+        grown = connected_to(seed.x, seed.y, candidates)
         occupancy[grown.box.slices][grown.mask] = _TAKEN
         if grown.area >= smallest:
             regions.append(Region(seed, grown))
@@ -130,9 +130,10 @@ def _seeds(
         yield Seed(x, y, (vx, vy), peak)
 
 
-def _connected_to(seed: Seed, candidates: Mask) -> CroppedMask:
+def connected_to(x: int, y: int, candidates: Mask) -> CroppedMask:
+    """Return which candidates, HxW, are connected to a pixel, itself with them."""
     filled = candidates.view(np.uint8)
-    filled[seed.y, seed.x] = 1
-    _, _, _, rectangle = cv2.floodFill(filled, None, (seed.x, seed.y), 2, flags=4)
+    filled[y, x] = 1
+    _, _, _, rectangle = cv2.floodFill(filled, None, (x, y), 2, flags=4)
     box = Box.of_rectangle(rectangle)
     return CroppedMask(box, filled[box.slices] == 2)

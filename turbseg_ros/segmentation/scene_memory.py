@@ -13,6 +13,7 @@ from turbseg_ros.segmentation.motion import MotionEstimate
 from turbseg_ros.segmentation.moving import Moving
 from turbseg_ros.segmentation.static_overlay import OverlayMemory
 from turbseg_ros.segmentation.usual_change import UsualChange
+from turbseg_ros.segmentation.velocity_memory import VelocityMemory
 from turbseg_ros.segmentation.window import Neighbourhood
 
 # Frames in a row in which motion may be left unmeasured: what is so slow, or so faint, that the
@@ -26,12 +27,14 @@ class SceneMemory:
     Short and long baselines have clutter of their own: each has a memory of its own.
 
     :param static_overlays: whether what is burnt in is looked for; else all is scene.
+    :param averaging: whether motion is averaged over measurements.
     """
 
-    def __init__(self, static_overlays: bool) -> None:
+    def __init__(self, static_overlays: bool, averaging: bool) -> None:
         self._clutter: list[ClutterMemory] = []
         self._overlay = OverlayMemory() if static_overlays else None
         self._change = UsualChange()
+        self._velocity = VelocityMemory() if averaging else None
         # Frames since motion was measured, and how many times it was left out.
         self._frames, self._left_out = 0, 0
 
@@ -45,6 +48,8 @@ class SceneMemory:
         for memory in self._clutter:
             memory.propagate(ego_motion)
         self._change.propagate(ego_motion)
+        if self._velocity is not None:
+            self._velocity.propagate(ego_motion)
 
     def shows_nothing_new(
         self, before: Moving | None, grey: ByteImage, aligned: Mapping[int, ByteImage]
@@ -75,15 +80,31 @@ class SceneMemory:
             neighbourhood.grey, neighbourhood.neighbours, aligned, neighbourhood.transforms
         )
 
-    def with_clutter(
-        self, motions: Sequence[MotionEstimate], usable: Mask, objects: Mask
+    def with_memory(
+        self, motions: Sequence[MotionEstimate], usable: Mask, objects: Mask, camera_known: bool
     ) -> list[MotionEstimate]:
         """Return estimates with what is known of each place, and learn from them.
 
+        The last one is the average over time of the longest baseline's; it is left out while too
+        little is known for one, and where there is no long baseline.
+
         :param motions: estimates over a short baseline and, if any, longer ones.
         :param usable: HxW, where flow has something to hold on to.
-        :param objects: hxw, cells that objects cover: nothing is learned there.
+        :param objects: hxw, cells that objects cover: no clutter is learned there.
+        :param camera_known: whether the camera's own motion was taken out of them.
         """
+        cluttered = self._with_clutter(motions, usable, objects)
+        if self._velocity is None:
+            return cluttered
+        if not camera_known or len(cluttered) < 2:
+            self._velocity.forget()
+            return cluttered
+        average = self._velocity.take(cluttered[-1])
+        return cluttered if average is None else [*cluttered, average]
+
+    def _with_clutter(
+        self, motions: Sequence[MotionEstimate], usable: Mask, objects: Mask
+    ) -> list[MotionEstimate]:
         frames, self._frames = self._frames, 0
         self._clutter += [ClutterMemory() for _ in motions[len(self._clutter) :]]
         return [

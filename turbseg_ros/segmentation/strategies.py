@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from turbseg_ros.segmentation.expansion import Expand
 from turbseg_ros.segmentation.flow import FlowBackend
 from turbseg_ros.segmentation.marked_regions import MarkedRegions
 from turbseg_ros.segmentation.motion import MotionMeasure
@@ -22,6 +23,7 @@ class Strategies:
     flow: FlowBackend
     measure: MotionMeasure
     similarity: Similarity
+    expand: Expand
     outlines: OutlineMethod
     tracker: Tracker
     regions: MarkedRegions
