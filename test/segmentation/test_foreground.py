@@ -220,6 +220,12 @@ def test_a_narrow_gap_parts_nothing() -> None:
     np.testing.assert_array_equal(whole, both)
 
 
+def test_a_row_of_vehicles_is_told_apart_by_gaps_that_would_part_none_of_them() -> None:
+    row = [rectangle(10 + 19 * n, 40, 24 + 19 * n, 50) for n in range(7)]
+    parts = sorted(separated(np.logical_or.reduce(row)), key=lambda part: Box.around(part).x0)
+    np.testing.assert_array_equal(parts, row)
+
+
 def test_debris_is_dropped() -> None:
     (kept,) = separated(rectangle(10, 10, 40, 40) | rectangle(55, 44, 59, 48))
     np.testing.assert_array_equal(kept, rectangle(10, 10, 40, 40))

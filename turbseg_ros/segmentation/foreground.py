@@ -41,8 +41,8 @@ _SHADOW_SHARE = 0.4
 _OPEN = 0.03
 _MAX_CUT = 20000
 _CUT_ITERATIONS = 2
-# Gap that may part an object, say by a pole, as a fraction of the root of its area; and the
-# fraction of the largest object's area below which a part of the same area is debris.
+# Gap that may part an object, say by a pole, as a fraction of the root of its largest part's area;
+# and the fraction of the largest object's area below which a part of the same area is debris.
 _GAP = 0.2
 _DEBRIS = 0.1
 
@@ -211,11 +211,13 @@ def foreground_mask(
 
 
 def separated(mask: Mask) -> list[Mask]:
-    """Split a mask into objects: parts with a gap small for their size belong together.
+    """Split a mask into objects: parts with a gap small for the largest of them belong together.
 
     What is left over close beside an object that is ten times as large is a part of nothing.
     """
-    reach = int(np.clip(_GAP * np.sqrt(np.count_nonzero(mask)), 1, 20))
+    _, _, statistics, _ = cv2.connectedComponentsWithStats(mask.view(np.uint8))
+    size = np.sqrt(statistics[1:, cv2.CC_STAT_AREA].max(initial=0))
+    reach = int(np.clip(_GAP * size, 1, 20))
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
     padded = cv2.copyMakeBorder(
         mask.astype(np.uint8), reach, reach, reach, reach, cv2.BORDER_CONSTANT, value=0
