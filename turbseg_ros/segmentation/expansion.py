@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from turbseg_ros.arrays import Flow, Mask
 from turbseg_ros.segmentation.cropped_mask import Box, CroppedMask
+from turbseg_ros.segmentation.geometry import upper_median
 from turbseg_ros.segmentation.motion import MotionEstimate
 from turbseg_ros.segmentation.region_growing import MIN_REGION, Region, connected_to
 
@@ -107,23 +108,28 @@ def _fitted(velocity: Flow, outline: CroppedMask) -> _Expansion | None:
     rows, columns = np.nonzero(outline.mask)
     every = max(len(rows) // _SAMPLES, 1)
     rows, columns = rows[::every] + outline.box.y0, columns[::every] + outline.box.x0
-    points = np.stack([columns, rows], axis=1).astype(np.float64)
-    motion = velocity[rows, columns].astype(np.float64)
-    weight = np.ones((len(rows), 1))
+    # A vector is a complex number here.
+    points = columns + 1j * rows
+    motion = velocity[rows, columns].astype(np.float64) @ [1, 1j]
+    weight = np.ones(len(rows))
     for _ in range(_REWEIGHTED):
-        middle, mean = (np.average(each, 0, weight[:, 0]) for each in (points, motion))
+        total = weight.sum()
+        middle, mean = weight @ points / total, weight @ motion / total
         way, change = points - middle, motion - mean
-        rate = float(np.sum(weight * way * change) / max(np.sum(weight * way * way), 1e-9))
-        left = np.linalg.norm(change - rate * way, axis=1, keepdims=True)
+        rate = weight @ (way.conj() * change).real / max(weight @ np.abs(way) ** 2, 1e-9)
+        left = np.abs(change - rate * way)
         weight = 1.0 / (1.0 + (left / (2.0 * _deviation(left))) ** 2)
-    total = np.sum(weight * change**2)
-    if np.sum(weight * left**2) > (1.0 - _EXPLAINED) * total:
+    if weight @ left**2 > (1.0 - _EXPLAINED) * (weight @ np.abs(change) ** 2):
         return None
-    return _Expansion(middle, mean, rate)
+    return _Expansion(_vector(middle), _vector(mean), float(rate))
 
 
-def _deviation(lengths: Vectors) -> float:
-    return 1.48 * float(np.median(lengths)) + 1e-6
+def _deviation(lengths: npt.NDArray[np.float64]) -> float:
+    return 1.48 * upper_median(lengths) + 1e-6
+
+
+def _vector(number: complex) -> Vectors:
+    return np.array([number.real, number.imag])
 
 
 def _points(box: Box) -> Vectors:
