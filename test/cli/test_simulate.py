@@ -17,6 +17,7 @@ from turbseg_ros.cli.simulate import main
 from turbseg_ros.messages.images import image_from_message, message_from_image, stamp_to_ns
 from turbseg_ros.simulation.objects import Path as Way
 from turbseg_ros.simulation.objects import SceneObject
+from turbseg_ros.simulation.oncoming import ONCOMING
 from turbseg_ros.simulation.scenes import SCENES
 
 IMAGES, TRUTH = "/camera/image_raw", "/ground_truth/labels"
@@ -54,6 +55,21 @@ def test_a_rendered_bag_holds_frames_and_their_truth(tmp_path: Path) -> None:
     assert [encoding for _, encoding, _ in truth] == ["mono16"] * 3
     assert {image.shape for _, _, image in images + truth} == {(96, 120)}
     assert truth[0][2].any()
+
+
+def test_a_scene_drawn_by_the_seed_is_rendered(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn = simulate.oncoming_scene
+    monkeypatch.setattr(
+        simulate,
+        "oncoming_scene",
+        lambda seed: replace(drawn(seed), landscape="open_sky", height=400, frames=2),
+    )
+    assert main(["--scene", ONCOMING, "--seed", "4", "-o", str(tmp_path / "bag")]) == 0
+    truth = contents(tmp_path / "bag", TRUTH)
+    assert len(truth) == 2
+    assert truth[0][2].max() == len(drawn(4).objects)
 
 
 @pytest.mark.usefixtures("brief_scenes")
@@ -121,7 +137,7 @@ def test_warp_does_without_truth(tmp_path: Path, capsys: pytest.CaptureFixture[s
 def test_list_names_every_scene(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--list"]) == 0
     listed = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
-    assert listed == list(SCENES)
+    assert listed == [*SCENES, ONCOMING]
     assert len(listed) >= 12
 
 

@@ -29,6 +29,7 @@ from turbseg_ros.messages.images import (
     message_from_image,
     stamp_to_ns,
 )
+from turbseg_ros.simulation.oncoming import ONCOMING, oncoming_scene
 from turbseg_ros.simulation.render import render
 from turbseg_ros.simulation.scenes import SCENES, Scene, UnknownSceneError, scene
 from turbseg_ros.simulation.turbulence import Turbulence
@@ -56,7 +57,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _render_bags(options: argparse.Namespace, stop: StopRequest) -> None:
-    chosen = _chosen_scenes(options.scene, options.out)
+    chosen = _chosen_scenes(options.scene, options.seed, options.out)
     for number, (each, path) in enumerate(chosen, start=1):
         strength = each if options.tilt is None else each.with_tilt(options.tilt)
         _render_bag(strength, options.seed, path, stop)
@@ -86,7 +87,7 @@ def _check(options: argparse.Namespace) -> None:
 
 def _list_scenes() -> None:
     width = max(map(len, SCENES))
-    for entry in SCENES.values():
+    for entry in (*SCENES.values(), oncoming_scene(0)):
         size = f"{entry.width}x{entry.height}"
         print(
             f"{entry.name:{width}}  {size:>7} {entry.sensor.encoding:6} {entry.frames:3} frames"
@@ -94,10 +95,12 @@ def _list_scenes() -> None:
         )
 
 
-def _chosen_scenes(name: str, out: Path) -> list[tuple[Scene, Path]]:
+def _chosen_scenes(name: str, seed: int, out: Path) -> list[tuple[Scene, Path]]:
     """Return the scenes to render and the bags to write; refuses before anything is rendered."""
     if name == "all":
         chosen = [(entry, out / entry.name) for entry in SCENES.values()]
+    elif name == ONCOMING:
+        chosen = [(oncoming_scene(seed), out)]
     else:
         try:
             chosen = [(scene(name), out)]
