@@ -17,7 +17,7 @@ from turbseg_ros.cli.simulate import main
 from turbseg_ros.messages.images import image_from_message, message_from_image, stamp_to_ns
 from turbseg_ros.simulation.objects import Path as Way
 from turbseg_ros.simulation.objects import SceneObject
-from turbseg_ros.simulation.oncoming import ONCOMING
+from turbseg_ros.simulation.oncoming import ONCOMING, oncoming_scene
 from turbseg_ros.simulation.scenes import SCENES
 
 IMAGES, TRUTH = "/camera/image_raw", "/ground_truth/labels"
@@ -60,10 +60,9 @@ def test_a_rendered_bag_holds_frames_and_their_truth(tmp_path: Path) -> None:
 def test_a_scene_drawn_by_the_seed_is_rendered(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    drawn = simulate.oncoming_scene
+    drawn = oncoming_scene
     monkeypatch.setattr(
-        simulate,
-        "oncoming_scene",
+        "turbseg_ros.cli.simulate.oncoming_scene",
         lambda seed: replace(drawn(seed), landscape="open_sky", height=400, frames=2),
     )
     assert main(["--scene", ONCOMING, "--seed", "4", "-o", str(tmp_path / "bag")]) == 0
