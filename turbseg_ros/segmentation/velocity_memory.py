@@ -31,7 +31,7 @@ _MIN_NOISE = 0.006
 _CLUTTER = 0.35
 # Pixels by which the camera may have moved the picture's corners, and the measurements in which:
 # what it passes, near and far, would be averaged as well.
-_NEARLY_STANDS, _LOOKED_BACK = 8.0, 6
+_NEARLY_STANDS, _LOOKED_BACK = 5.0, 6
 # Pixels by which it may move them for the average to be taken as it is.
 _STAYS = 0.5
 
