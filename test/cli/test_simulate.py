@@ -60,15 +60,14 @@ def test_a_rendered_bag_holds_frames_and_their_truth(tmp_path: Path) -> None:
 def test_a_scene_drawn_by_the_seed_is_rendered(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    drawn = oncoming_scene
     monkeypatch.setattr(
         "turbseg_ros.cli.simulate.oncoming_scene",
-        lambda seed: replace(drawn(seed), landscape="open_sky", height=400, frames=2),
+        lambda seed: replace(oncoming_scene(seed), landscape="open_sky", height=400, frames=2),
     )
     assert main(["--scene", ONCOMING, "--seed", "4", "-o", str(tmp_path / "bag")]) == 0
     truth = contents(tmp_path / "bag", TRUTH)
     assert len(truth) == 2
-    assert truth[0][2].max() == len(drawn(4).objects)
+    assert truth[0][2].max() == len(oncoming_scene(4).objects)
 
 
 @pytest.mark.usefixtures("brief_scenes")

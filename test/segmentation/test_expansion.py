@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from support.drawn_motion import drawn_motion
 from turbseg_ros.segmentation.cropped_mask import union_mask
 from turbseg_ros.segmentation.expansion import as_grown, expanded
 from turbseg_ros.segmentation.motion import MotionEstimate
@@ -24,15 +25,7 @@ DELTA = 0.6
 
 def drawn(velocity: np.ndarray, noise: float = 0.02, seed: int = 1) -> MotionEstimate:
     velocity = velocity + np.random.default_rng(seed).normal(0.0, noise, velocity.shape)
-    velocity = velocity.astype(np.float32)
-    return MotionEstimate(
-        velocity=velocity,
-        motion_map=np.hypot(velocity[..., 0], velocity[..., 1]),
-        noise=np.full(SHAPE, noise, np.float32),
-        tilt=0.1,
-        visible=np.ones(SHAPE, bool),
-        ego_motion_model="affine",
-    )
+    return drawn_motion(velocity, noise)
 
 
 def coming(

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from support.drawn_motion import drawn_motion
 from support.drawn_scene import DrawnScene, Mask, jaccard, rectangle
 from support.segmenters import ObservingRefiner, segmenter_refined_by
 from turbseg_ros.parameters import Parameters
@@ -15,7 +16,6 @@ from turbseg_ros.segmentation.background import AlignedFrame, unmasked
 from turbseg_ros.segmentation.cropped_mask import EMPTY_MASK, Box, CroppedMask
 from turbseg_ros.segmentation.foreground import AreaMasks, ObjectCrop, Surroundings
 from turbseg_ros.segmentation.frame import Frame, SegmentationResult
-from turbseg_ros.segmentation.motion import MotionEstimate
 from turbseg_ros.segmentation.refinement import refined_masks, whole_crops
 
 SCENE = DrawnScene()
@@ -109,14 +109,7 @@ def surroundings_of(*areas: Mask) -> Surroundings:
     """Return what is known of a frame in some parts of which something moves."""
     shape = areas[0].shape
     scene = np.zeros((*shape, 1), np.uint8)
-    still = MotionEstimate(
-        velocity=np.zeros((*shape, 2), np.float32),
-        motion_map=np.zeros(shape, np.float32),
-        noise=np.ones(shape, np.float32),
-        tilt=0.5,
-        visible=np.ones(shape, bool),
-        ego_motion_model="affine",
-    )
+    still = drawn_motion(np.zeros((*shape, 2)), noise=1.0, tilt=0.5)
     outlines = [CroppedMask.of(area) for area in areas]
     moving = [MovingArea(each, each, EMPTY_MASK, (0.0, 0.0)) for each in outlines]
     return Surroundings(scene, moving, [AlignedFrame(unmasked(scene), np.eye(3))], still, 0.5)

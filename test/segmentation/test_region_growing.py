@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
+from support.drawn_motion import drawn_motion
 from turbseg_ros.segmentation.motion import MotionEstimate
 from turbseg_ros.segmentation.region_growing import (
     Region,
@@ -27,21 +28,6 @@ SQUARE = (slice(20, 40), slice(30, 50))
 
 def mask_of(region: Region) -> np.ndarray:
     return region.outline.in_frame(SHAPE)
-
-
-def drawn_motion(
-    velocity: np.ndarray, noise: float = 0.1, visible: np.ndarray | None = None
-) -> MotionEstimate:
-    velocity = velocity.astype(np.float32)
-    shape = velocity.shape[:2]
-    return MotionEstimate(
-        velocity=velocity,
-        motion_map=np.hypot(velocity[..., 0], velocity[..., 1]),
-        noise=np.full(shape, noise, np.float32),
-        tilt=0.1,
-        visible=np.ones(shape, bool) if visible is None else visible,
-        ego_motion_model="affine",
-    )
 
 
 def drawn_map(magnitude: np.ndarray, **known: Any) -> MotionEstimate:

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+from support.drawn_motion import drawn_motion
 from turbseg_ros.segmentation.geometry import translation
 from turbseg_ros.segmentation.motion import MotionEstimate
 from turbseg_ros.segmentation.velocity_memory import VelocityMemory
@@ -27,16 +28,8 @@ def measured(
     turbulence = cv2.GaussianBlur(rng.normal(0.0, 1.0, (*SHAPE, 2)), (0, 0), 3.0)
     field = (NOISE * turbulence / turbulence.std()).astype(np.float32)
     field[where] += velocity
-    return MotionEstimate(
-        velocity=field,
-        motion_map=np.hypot(field[..., 0], field[..., 1]),
-        noise=np.full(SHAPE, NOISE, np.float32),
-        tilt=0.5,
-        visible=np.ones(SHAPE, bool),
-        ego_motion_model="affine",
-        clutter=np.full((24, 32), clutter, np.float32),
-        intervals=(-12, -4, 4),
-    )
+    level = np.full((24, 32), clutter, np.float32)
+    return drawn_motion(field, NOISE, clutter=level, intervals=(-12, -4, 4))
 
 
 def averaged(

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from turbseg_ros.arrays import Flow, Map, Mask, Matrix
 from turbseg_ros.segmentation.cropped_mask import CroppedMask
-from turbseg_ros.segmentation.geometry import corner_displacement, scaling
+from turbseg_ros.segmentation.geometry import corner_displacement, resampled, scaling
 
 CELL = 4
 """Side in pixels at processing resolution of the cells that the memory is kept in."""
@@ -62,7 +62,7 @@ class ClutterMemory:
         height, width = self._count.shape
         if corner_displacement(self._transform, (width, height)) > _DRIFT:
             self._velocity, self._squared, self._count = (
-                _resampled(values, self._transform, backward=False)
+                resampled(values, self._transform, backward=False)
                 for values in (self._velocity, self._squared, self._count)
             )
             self._transform = np.eye(3)
@@ -90,14 +90,14 @@ class ClutterMemory:
 
     def _level(self) -> Map:
         shrunk = self._squared * (self._count / (self._count + np.float32(_FEW)))
-        level: Map = np.sqrt(np.maximum(_resampled(shrunk, self._transform, backward=False), 0.0))
+        level: Map = np.sqrt(np.maximum(resampled(shrunk, self._transform, backward=False), 0.0))
         return level
 
     def _learn(self, measured: Flow, noise: Map, usable: Mask, frames: int) -> None:
         assert self._velocity is not None
-        least = _resampled(np.square(noise / 2), self._transform, backward=True)
-        here = _resampled(measured, self._transform, backward=True)
-        counts = _resampled(usable.astype(np.float32), self._transform, backward=True) > 0.99
+        least = resampled(np.square(noise / 2), self._transform, backward=True)
+        here = resampled(measured, self._transform, backward=True)
+        counts = resampled(usable.astype(np.float32), self._transform, backward=True) > 0.99
         change = here - self._velocity
         squared = (change[..., 0] ** 2 + change[..., 1] ** 2) / 4
         usual = np.maximum(self._squared, least)
@@ -162,12 +162,3 @@ def with_clutter(noise: Map, clutter: Map | None, factor: float) -> Map:
     level = cv2.resize(clutter, noise.shape[::-1], interpolation=cv2.INTER_LINEAR)
     raised: Map = np.maximum(noise, np.float32(factor) * level)
     return raised
-
-
-def _resampled(values: Map, transform: Matrix, backward: bool) -> Map:
-    """Return what a transform makes of cells, 0 beyond their border; or what its inverse does."""
-    if np.array_equal(transform, np.eye(3)):
-        return values
-    flags = cv2.INTER_LINEAR | (cv2.WARP_INVERSE_MAP if backward else 0)
-    moved: Map = cv2.warpAffine(values, transform[:2], values.shape[1::-1], flags=flags)
-    return moved

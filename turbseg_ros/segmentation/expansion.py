@@ -13,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from turbseg_ros.arrays import Flow, Mask
-from turbseg_ros.segmentation.cropped_mask import Box, CroppedMask
-from turbseg_ros.segmentation.geometry import upper_median
+from turbseg_ros.segmentation.cropped_mask import CroppedMask
+from turbseg_ros.segmentation.geometry import pixel_grid, upper_median
 from turbseg_ros.segmentation.motion import MotionEstimate
 from turbseg_ros.segmentation.region_growing import MIN_REGION, Region, connected_to
 
@@ -86,7 +86,7 @@ def _gone_on(region: Region, motion: MotionEstimate, free: Mask) -> CroppedMask:
         beyond = max(int(_BEYOND * max(outline.box.shape)), _LEAST_BEYOND)
         box = outline.box.padded(beyond, free.shape)
         here = box.slices
-        wanted = expansion.at(_points(box))
+        wanted = expansion.at(pixel_grid(free.shape)[here].astype(np.float64))
         speed = np.linalg.norm(wanted, axis=-1)
         difference = np.linalg.norm(motion.velocity[here] - wanted, axis=-1)
         alike = (difference < _DIFFERS * speed) & (speed > _MOVES * motion.noise[here])
@@ -130,8 +130,3 @@ def _deviation(lengths: npt.NDArray[np.float64]) -> float:
 
 def _vector(number: complex) -> Vectors:
     return np.array([number.real, number.imag])
-
-
-def _points(box: Box) -> Vectors:
-    rows, columns = np.mgrid[box.slices]
-    return np.stack([columns, rows], axis=-1).astype(np.float64)

@@ -61,6 +61,15 @@ def scaling(x: float, y: float) -> Matrix:
     return np.array([[x, 0.0, (x - 1) / 2], [0.0, y, (y - 1) / 2], [0.0, 0.0, 1.0]])
 
 
+def resampled(values: Map, transform: Matrix, backward: bool = False) -> Map:
+    """Return what a transform makes of a map, 0 beyond its border; or what its inverse does."""
+    if np.array_equal(transform, np.eye(3)):
+        return values
+    flags = cv2.INTER_LINEAR | (cv2.WARP_INVERSE_MAP if backward else 0)
+    moved: Map = cv2.warpAffine(values, transform[:2], values.shape[1::-1], flags=flags)
+    return moved
+
+
 def transformed_point(transform: Matrix, point: Point) -> Point:
     """Return where an affine transform takes a point (x, y)."""
     return np.asarray(transform[:2, :2] @ point + transform[:2, 2])

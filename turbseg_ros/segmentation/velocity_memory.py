@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from turbseg_ros.arrays import Flow, Map, Matrix
-from turbseg_ros.segmentation.geometry import corner_displacement, lengths
+from turbseg_ros.segmentation.geometry import corner_displacement, lengths, resampled
 from turbseg_ros.segmentation.motion import MotionEstimate, noise_deviation
 
 # Share of the newest measurement in the average.
@@ -66,8 +66,8 @@ class VelocityMemory:
         self._transform = ego_motion @ self._transform
         size = self._count.shape[1], self._count.shape[0]
         if self._count.size and corner_displacement(self._transform, size) > _STAYS:
-            self._velocity = cv2.warpAffine(self._velocity, self._transform[:2], size)
-            self._count = cv2.warpAffine(self._count, self._transform[:2], size)
+            self._velocity = resampled(self._velocity, self._transform)
+            self._count = resampled(self._count, self._transform)
             self._transform = np.eye(3)
 
     def take(self, motion: MotionEstimate) -> MotionEstimate | None:
@@ -92,7 +92,7 @@ class VelocityMemory:
         clutter = motion.clutter
         return replace(
             motion,
-            velocity=self._velocity.copy(),
+            velocity=self._velocity,
             motion_map=speed,
             noise=np.maximum(unit * motion.noise, np.float32(_MIN_NOISE)),
             visible=known & (along > np.float32(_STILL_MOVES) * speed * speed),
@@ -108,4 +108,6 @@ class VelocityMemory:
         # NumPy takes five times as long for a map and a flow.
         change = cv2.multiply(motion.velocity, cv2.merge([share, share]))
         cv2.subtract(change, self._velocity, dst=change)
-        self._velocity += cv2.multiply(change, cv2.merge([weight, weight]))
+        change = cv2.multiply(change, cv2.merge([weight, weight]))
+        # Estimates made of the average before keep it.
+        self._velocity = cv2.add(self._velocity, change)
