@@ -328,7 +328,6 @@ class MotionParameters:
         "Look at motion averaged over measurements, too, while the camera nearly stands: what "
         "comes closer, or is far away, may be too slow for one.",
         read_only=True,
-        used_when={"motion.measure": ("affine", "none")},
     )
 
 
@@ -412,7 +411,6 @@ class GrowingParameters:
         "Let regions that share a velocity go on where their motion does, with a scale of its "
         "own: what comes closer or goes.",
         read_only=True,
-        used_when={"growing.similarity": ("velocity",)},
     )
 
 
