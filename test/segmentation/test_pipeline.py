@@ -23,9 +23,12 @@ from support.drawn_clip import (
 )
 from support.drawn_scene import ByteImage, jaccard, texture
 from support.segmenters import segmenter_by_rules
+from turbseg_ros.factory import motion_segmenter
 from turbseg_ros.parameters import Parameters, Value
 from turbseg_ros.segmentation.frame import SegmentationResult
 from turbseg_ros.segmentation.motion_segmenter import MotionSegmenter
+from turbseg_ros.segmentation.moving import Moving
+from turbseg_ros.segmentation.observer import StageObserver
 
 # So few images may wait that none does so at no price; see `Load`.
 IMPATIENT = PARAMETERS.replace({"queue_size": 2})
@@ -340,10 +343,32 @@ def test_without_look_ahead_the_square_is_found_all_the_same() -> None:
     assert np.mean(overlap[14:]) > 0.5
 
 
+class MeasuredFrames(StageObserver):
+    """Notes the stamps of the frames for which motion was measured."""
+
+    def __init__(self) -> None:
+        self.stamps: list[int] = []
+
+    def motion(self, stamp: int, moving: Moving) -> None:
+        if moving.measured:
+            self.stamps.append(stamp)
+
+
+def answered_at_once(
+    change: dict[str, object], waiting: int = 0
+) -> tuple[list[SegmentationResult], list[int]]:
+    """Return the results of the clip without look-ahead, and where motion was measured."""
+    chosen = {"latency.mode": "causal", "refine.mode": "none"} | change
+    measured_in = MeasuredFrames()
+    with motion_segmenter(PARAMETERS.replace(chosen), measured_in) as segmenter:
+        found = [result for frame in frames(CLIP) for result in segmenter.push(frame, waiting)]
+        found += segmenter.flush()
+    return found, measured_in.stamps
+
+
 def test_without_look_ahead_motion_is_measured_more_often_until_all_is_decided() -> None:
-    chosen = {"latency.mode": "causal", "latency.coast_from": 0}
-    found = segmented(CLIP, PARAMETERS.replace(chosen))
-    every, answers = PARAMETERS.flow.every, measured(found)
+    found, answers = answered_at_once({})
+    every = PARAMETERS.flow.every
     first = next(number for number, result in enumerate(found) if result.objects)
     assert first <= 8
     # The first ones have nothing to be compared with; what is measured is a frame or two late.
@@ -351,6 +376,17 @@ def test_without_look_ahead_motion_is_measured_more_often_until_all_is_decided()
     assert set(np.diff(undecided)) == {every // 2}
     decided = [number for number in answers if number > first + every]
     assert set(np.diff(decided)) == {every}
+
+
+def test_without_look_ahead_motion_is_measured_no_more_often_while_frames_wait() -> None:
+    every, waiting = PARAMETERS.flow.every, PARAMETERS.latency.coast_from
+    _, answers = answered_at_once({}, waiting)
+    assert set(np.diff([number for number in answers if number > every])) == {every}
+
+
+def test_without_look_ahead_motion_may_be_measured_in_every_frame() -> None:
+    _, answers = answered_at_once({"flow.every": 1})
+    assert set(np.diff([number for number in answers if number > 4])) == {1}
 
 
 def test_a_flushed_stream_goes_on() -> None:

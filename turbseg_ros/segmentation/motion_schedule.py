@@ -12,6 +12,7 @@ from turbseg_ros.parameters import FlowParameters, Parameters
 from turbseg_ros.segmentation.average import LONG_BASELINE
 from turbseg_ros.segmentation.cropped_mask import CroppedMask
 from turbseg_ros.segmentation.geometry import middle_displacement
+from turbseg_ros.segmentation.load import Load
 from turbseg_ros.segmentation.look_ahead import LookAhead
 from turbseg_ros.segmentation.motion import MotionMeasure, next_interval
 from turbseg_ros.segmentation.motion_worker import MotionJob, MotionWorker
@@ -70,18 +71,19 @@ class MotionSchedule:
         # Frames in a row in which nothing was cut out.
         self._empty_for = 0
 
-    def what_moves(self, index: int, sparse: bool) -> Moving | None:
+    def what_moves(self, index: int, load: Load) -> Moving | None:
         """Return what moves in the next frame, and have the next measurement begun.
 
         None where there is nothing to compare the frame with.
 
-        :param sparse: whether motion is to be measured more seldom from here on.
+        :param load: under which motion is to be measured more seldom from here on.
         """
+        self._watches = self._watches and not load.coasts
         moving = self._what_moves(index)
         if moving is not None and moving.measured:
             self._interval = next_interval(self._interval, self._widest, moving.motion.disorder)
         self._last = moving
-        self._measure_ahead(index, sparse)
+        self._measure_ahead(index, load.sparse_motion)
         return moving
 
     def keep_where(self, objects: Mask) -> None:
@@ -96,7 +98,8 @@ class MotionSchedule:
     def watch_closely(self, something: bool) -> None:
         """Measure motion twice as often while something is to be decided.
 
-        So it is where each frame is answered at once. Else a result waits for that long anyway.
+        So it is where each frame is answered at once, and none waits. Else a result waits for that
+        long anyway.
         """
         self._watches = something and self._answers_at_once
 
@@ -166,7 +169,9 @@ class MotionSchedule:
         """Have motion measured in the next frame that is due, while outlines are drawn."""
         if self._due <= min(self._submitted, index):
             period = self._every if sparse else self._period
-            self._due = index // period * period + period * (SPARSE if sparse else 1)
+            # Without look-ahead the newest frame itself may be due.
+            before = max(self._submitted, index - 1)
+            self._due = before // period * period + period * (SPARSE if sparse else 1)
         following = self._window.count - 1 - self._due
         is_at_hand = following >= self._look_ahead.neighbours and self._due <= index + self._every
         if is_at_hand and self._submitted < self._due:

@@ -98,7 +98,7 @@ class Pipeline:
         ego_motion = resolution.to_detail(self.window[index].from_previous)
 
         # What moves here, measured (see `measure_motion`) or propagated: eq. 1 to 3.
-        moving = self._schedule.what_moves(index, load.sparse_motion)
+        moving = self._schedule.what_moves(index, load)
         if moving is None:
             tracker.update([], ego_motion, 0.0, self.window[index].detail)
             self._tracked = index
