@@ -15,6 +15,7 @@ from turbseg_ros.segmentation.geometry import (
     sampson_distance,
     scaling,
     transformed_point,
+    transformed_points,
     translation,
 )
 
@@ -57,6 +58,10 @@ def test_a_transform_takes_a_point_where_it_takes_its_pixel() -> None:
     transform = translation(3.0, -2.0) @ scaling(2.0, 4.0)
     moved = transformed_point(transform, np.array([5.0, 7.0]))
     np.testing.assert_allclose(moved, (transform @ [5.0, 7.0, 1.0])[:2])
+    one, other = transformed_points(transform, [np.array([5.0, 7.0]), np.array([0.0, 1.0])])
+    np.testing.assert_allclose(one, moved)
+    np.testing.assert_allclose(other, (transform @ [0.0, 1.0, 1.0])[:2])
+    assert transformed_points(transform, []) == []
 
 
 def test_pixel_grid_gives_x_before_y() -> None:

@@ -7,6 +7,7 @@ it is the displacement over several frames that tells them apart, against the pa
 from __future__ import annotations
 
 import enum
+import functools
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -65,8 +66,11 @@ class CameraTrack:
         :param size: the frames' width and height.
         """
         known = [motion for motion in self.motions if motion is not None]
-        enough = len(known) > _STEADY_SPAN // 2 and self.outvoted < _MAX_OUTVOTED
-        return enough and all(_displacement((each,), size)[0] < _STANDS for each in known)
+        if len(known) <= _STEADY_SPAN // 2 or self.outvoted >= _MAX_OUTVOTED:
+            return False
+        places = _places(size)
+        steps = (np.stack(known) @ places - places)[:, :2]
+        return bool((_lengths(steps).mean(axis=1) < _STANDS * size[0]).all())
 
     def lost(self) -> CameraTrack:
         """Return what is known in a frame that shows nothing."""
@@ -135,10 +139,21 @@ def _displacement(
     if not known:
         return 0.0, 0.0
     places = np.empty((len(known) + 1, 3, len(_PLACES)))
-    places[0] = np.column_stack([_PLACES * size, np.ones(len(_PLACES))]).T
+    places[0] = _places(size)
     for number, motion in enumerate(known):
         places[number + 1] = motion @ places[number]
     step, whole = places[1:, :2] - places[:-1, :2], places[-1, :2] - places[0, :2]
-    path_length = np.sqrt(np.square(step).sum(axis=1)).mean(axis=1).sum()
-    displacement = float(np.sqrt(np.square(whole).sum(axis=0)).mean())
+    path_length = _lengths(step).mean(axis=1).sum()
+    displacement = float(_lengths(whole).mean())
     return displacement / size[0], displacement / max(float(path_length), 1e-9)
+
+
+@functools.lru_cache(maxsize=8)
+def _places(size: tuple[int, int]) -> Matrix:
+    """Return points of the picture in pixels, 3xP (x, y, 1)."""
+    return np.column_stack([_PLACES * size, np.ones(len(_PLACES))]).T
+
+
+def _lengths(steps: Matrix) -> Matrix:
+    """Return the lengths of steps, ...x2xP (x, y)."""
+    return np.asarray(np.sqrt(np.square(steps).sum(axis=-2)))

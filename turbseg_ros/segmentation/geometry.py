@@ -6,6 +6,7 @@ Models map pixels of one frame to the next; residuals are in pixels.
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from typing import Any
 
 import cv2
@@ -73,6 +74,13 @@ def resampled(values: Map, transform: Matrix, backward: bool = False) -> Map:
 def transformed_point(transform: Matrix, point: Point) -> Point:
     """Return where an affine transform takes a point (x, y)."""
     return np.asarray(transform[:2, :2] @ point + transform[:2, 2])
+
+
+def transformed_points(transform: Matrix, points: Sequence[Point]) -> list[Point]:
+    """Return where an affine transform takes points (x, y)."""
+    if not points:
+        return []
+    return list(np.asarray(points) @ transform[:2, :2].T + transform[:2, 2])
 
 
 def corner_displacement(transform: Matrix, size: tuple[int, int]) -> float:

@@ -16,7 +16,11 @@ import numpy as np
 from turbseg_ros.arrays import ByteImage, Mask, Matrix, Point
 from turbseg_ros.segmentation.certainty import certainty
 from turbseg_ros.segmentation.cropped_mask import Box, CroppedMask
-from turbseg_ros.segmentation.geometry import transformed_point, translation
+from turbseg_ros.segmentation.geometry import (
+    transformed_point,
+    transformed_points,
+    translation,
+)
 from turbseg_ros.segmentation.occlusion import AppearanceModel
 from turbseg_ros.segmentation.template import SAME, SURELY_SAME, Template
 
@@ -212,8 +216,8 @@ class Track:
         self.kalman.statePost = state
         self.kalman.predict()
         self.start = transformed_point(ego_motion, self.start)
-        self.trail = [transformed_point(ego_motion, point) for point in self.trail]
-        self.sightings = [transformed_point(ego_motion, point) for point in self.sightings]
+        self.trail = transformed_points(ego_motion, self.trail)
+        self.sightings = transformed_points(ego_motion, self.sightings)
         self.steps = [linear @ step for step in self.steps]
 
     def follow(self, image: ByteImage, ego_motion: Matrix) -> None:
