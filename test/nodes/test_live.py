@@ -15,7 +15,7 @@ from sensor_msgs.msg import Image
 
 from support.camera_process import ALL, FIRST
 from support.node_harness import TIMEOUT, NodeProcess, Probe
-from support.paths import SUPPORT
+from support.paths import CONFIG, SUPPORT
 
 CAMERAS = SUPPORT / "camera_process.py"
 SECONDS = 60
@@ -86,7 +86,7 @@ class Cameras:
         (1, (1920, 1080), 30, ""),
         (1, (1920, 1080), 30, "image_transport:=compressed"),
         (1, (1280, 720), 30, ""),
-        (1, (1280, 720), 30, "latency.mode:=causal"),
+        (1, (1280, 720), 30, "low_latency.yaml"),
         (1, (640, 480), 15, ""),
         (4, (640, 480), 10, ""),
         # What 30 Hz are to a machine a third as fast.
@@ -97,7 +97,7 @@ class Cameras:
         "1080p30",
         "1080p30-jpeg",
         "720p30",
-        "720p30-causal",
+        "720p30-low-latency",
         "480p15",
         "four-480p10",
         "1080p90",
@@ -114,7 +114,7 @@ def test_every_image_is_answered_or_counted(
                 NodeProcess(
                     tmp_path / name[1:],
                     *("-r", f"__ns:={name}"),
-                    *(item for setting in settings.split() for item in ("-p", setting)),
+                    *_ros_arguments(settings),
                 )
             )
             for name in names
@@ -221,6 +221,15 @@ def test_memory_and_time_a_frame_stay_flat_for_twenty_minutes(tmp_path: Path) ->
     # While the first window fills, memory grows.
     assert max(memory[2:]) - memory[2] < 30.0
     assert statistics.median(pace[-4:]) < 1.5 * statistics.median(pace[1:5])
+
+
+def _ros_arguments(settings: str) -> list[str]:
+    """Return the arguments that give a node parameters, or a parameter file of the package."""
+    arguments = []
+    for setting in settings.split():
+        is_file = setting.endswith(".yaml")
+        arguments += ["--params-file", str(CONFIG / setting)] if is_file else ["-p", setting]
+    return arguments
 
 
 def accounted(shown: dict[str, str]) -> int:
