@@ -288,7 +288,8 @@ class FlowParameters:
     every: int = parameter(
         4,
         "Every how many frames motion is measured; in between, what moves is propagated. When "
-        "causal, twice as often while it is open whether something is an object.",
+        "causal, twice as often while it is open whether something is an object and no frame "
+        "waits.",
         unit="frames",
         minimum=1,
         maximum=8,
