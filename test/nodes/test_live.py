@@ -114,7 +114,7 @@ def test_every_image_is_answered_or_counted(
                 NodeProcess(
                     tmp_path / name[1:],
                     *("-r", f"__ns:={name}"),
-                    *_ros_arguments(settings),
+                    *ros_arguments(settings),
                 )
             )
             for name in names
@@ -223,7 +223,7 @@ def test_memory_and_time_a_frame_stay_flat_for_twenty_minutes(tmp_path: Path) ->
     assert statistics.median(pace[-4:]) < 1.5 * statistics.median(pace[1:5])
 
 
-def _ros_arguments(settings: str) -> list[str]:
+def ros_arguments(settings: str) -> list[str]:
     """Return the arguments that give a node parameters, or a parameter file of the package."""
     arguments = []
     for setting in settings.split():

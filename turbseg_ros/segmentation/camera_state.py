@@ -69,8 +69,8 @@ class CameraTrack:
         if len(known) <= _STEADY_SPAN // 2 or self.outvoted >= _MAX_OUTVOTED:
             return False
         places = _places(size)
-        steps = (np.stack(known) @ places - places)[:, :2]
-        return bool((_lengths(steps).mean(axis=1) < _STANDS * size[0]).all())
+        x, y, _ = (np.stack(known) @ places - places).swapaxes(0, 1)
+        return bool((np.hypot(x, y).mean(axis=1) < _STANDS * size[0]).all())
 
     def lost(self) -> CameraTrack:
         """Return what is known in a frame that shows nothing."""
@@ -143,8 +143,8 @@ def _displacement(
     for number, motion in enumerate(known):
         places[number + 1] = motion @ places[number]
     step, whole = places[1:, :2] - places[:-1, :2], places[-1, :2] - places[0, :2]
-    path_length = _lengths(step).mean(axis=1).sum()
-    displacement = float(_lengths(whole).mean())
+    path_length = np.hypot(step[:, 0], step[:, 1]).mean(axis=1).sum()
+    displacement = float(np.hypot(*whole).mean())
     return displacement / size[0], displacement / max(float(path_length), 1e-9)
 
 
@@ -152,8 +152,3 @@ def _displacement(
 def _places(size: tuple[int, int]) -> Matrix:
     """Return points of the picture in pixels, 3xP (x, y, 1)."""
     return np.column_stack([_PLACES * size, np.ones(len(_PLACES))]).T
-
-
-def _lengths(steps: Matrix) -> Matrix:
-    """Return the lengths of steps, ...x2xP (x, y)."""
-    return np.asarray(np.sqrt(np.square(steps).sum(axis=-2)))
