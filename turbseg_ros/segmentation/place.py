@@ -245,9 +245,11 @@ class Place:
         beside &= seen & self.before.known
         before = self.before.median[beside].astype(np.uint8)[:, None]
         now = shown[beside][:, None]
+        if not now.size:
+            return self.exposure
         found = exposure_of_pixels(before, now)
         off = cv2.absdiff(found.applied_to(before, before.shape[2]), now).reshape(before.shape)
-        fits = off.size and np.mean(off.max(axis=2) < self._level) > _MOST
+        fits = np.mean(off.max(axis=2) < self._level) > _MOST
         return found if fits else self.exposure
 
 
