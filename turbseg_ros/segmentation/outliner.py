@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import cv2
@@ -33,6 +33,12 @@ from turbseg_ros.segmentation.refinement import Refiner, refined_masks, whole_cr
 from turbseg_ros.segmentation.resolution import Resolution
 from turbseg_ros.segmentation.standing_out import Past, past_in, standing_areas
 from turbseg_ros.segmentation.stopped import StoppedObjects
+from turbseg_ros.segmentation.target_outlines import (
+    outlined_targets,
+    target_areas,
+    with_targets,
+)
+from turbseg_ros.segmentation.target_tracks import Target
 from turbseg_ros.segmentation.track import Detection, Observation
 from turbseg_ros.segmentation.window import FrameWindow
 
@@ -163,6 +169,7 @@ class Outliner:
         self,
         index: int,
         moving: Moving,
+        targets: Sequence[Target],
         expected: Sequence[Detection],
         overlays: Sequence[CroppedMask],
         tilt: float,
@@ -170,6 +177,7 @@ class Outliner:
     ) -> list[Detection]:
         """Return what may be an object in a frame, at detail resolution.
 
+        :param targets: what was followed, and has moved.
         :param expected: known objects as they should be, whether they move or rest.
         :param overlays: what is burnt into the picture, if anything; see `overlay_masks`.
         :param tilt: rms turbulent motion an axis in detail pixels.
@@ -180,7 +188,10 @@ class Outliner:
         self._stopped.follow(index)
         shape = self._resolution.detail_shape
         image = self._window[index].detail
-        measured = union_mask([area.search_mask for area in moving.areas], shape)
+        outlined = outlined_targets(targets, image, self._resolution)
+        areas = [*moving.areas, *target_areas(outlined, moving.areas, self._resolution)]
+        moving = replace(moving, areas=areas)
+        measured = union_mask([area.search_mask for area in areas], shape)
         proposed = self._standing_areas(index, moving, measured, tilt)
         proposed = _apart_or_whole(
             proposed, [each.outline for each in expected if not _leaves_soon(each)], shape
@@ -210,8 +221,15 @@ class Outliner:
             if outline.area >= _MIN_OUTLINE
         ]
         if self._window[index].camera.state is CameraState.SLEWING:
-            found = _known_or_followed(found, union_mask(known, shape), self._turn(index))
-        return self._stopped.completed(found, known, measured, image, tilt, stamp)
+            expected_mask, turn = union_mask(known, shape), self._turn(index)
+            found = [each for each in found if _is_known_or_followed(each, expected_mask, turn)]
+            outlined = [
+                each
+                for each in outlined
+                if _is_known_or_followed(each.detection, expected_mask, turn)
+            ]
+        completed = self._stopped.completed(found, known, measured, image, tilt, stamp)
+        return with_targets(completed, outlined, expected, shape)
 
     def remember(
         self, index: int, moving: Moving, observations: Sequence[Observation], stamp: int
@@ -345,10 +363,8 @@ def _in_scene(
     ]
 
 
-def _known_or_followed(
-    detections: Sequence[Detection], expected: Mask, turn: Point
-) -> list[Detection]:
-    """Return the detections of known objects, and of what the camera turns to follow.
+def _is_known_or_followed(seen: Detection, expected: Mask, turn: Point) -> bool:
+    """Whether a detection is of a known object, or of what the camera turns to follow.
 
     That nearly stands in the picture. All else that seems to move while the camera is turned fast
     may be the scene.
@@ -356,13 +372,10 @@ def _known_or_followed(
     :param expected: HxW, where known objects should be.
     :param turn: by how much the scene moves in the picture, in pixels a frame.
     """
+    if seen.outline.intersection_area(expected) > _KNOWN * seen.area:
+        return True
     slow = _FOLLOWS * float(np.linalg.norm(turn))
-    return [
-        seen
-        for seen in detections
-        if seen.outline.intersection_area(expected) > _KNOWN * seen.area
-        or (seen.flow_known and float(np.linalg.norm(np.add(seen.velocity, turn))) < slow)
-    ]
+    return seen.flow_known and float(np.linalg.norm(np.add(seen.velocity, turn))) < slow
 
 
 def _apart_or_whole(

@@ -6,7 +6,7 @@
              seeds                     region_growing.seed_strength; evidence.PictureEvidence
     eq. 3    seeded region growing     region_growing.similar_velocity; similar_magnitude
              what comes closer         velocity_memory, expansion.expanded (not in the paper)
-             small targets             small_targets.TargetTracks (not in the paper)
+             targets                   target_tracks.TargetPyramid (not in the paper)
              what stands out           standing_out.standing_areas (not in the paper)
     eq. 4    mask ids                  kalman_tracker.KalmanTracker; kmeans_ids.kmeans_ids
     eq. 5-9  refinement                outliner.RefinedDifference; learning.clip_refinement
@@ -41,8 +41,8 @@ from turbseg_ros.segmentation.region_growing import MIN_REGION, Region, grow_reg
 from turbseg_ros.segmentation.registration import without_vote
 from turbseg_ros.segmentation.resolution import Resolution
 from turbseg_ros.segmentation.scene_memory import SceneMemory
-from turbseg_ros.segmentation.small_targets import TargetTracks, with_targets
 from turbseg_ros.segmentation.strategies import Strategies
+from turbseg_ros.segmentation.target_tracks import TargetPyramid
 
 
 class Pipeline:
@@ -79,7 +79,7 @@ class Pipeline:
             self._travelled_objects,
         )
         self._scene = SceneMemory(parameters.regions.static_overlays, parameters.motion.averaging)
-        self._targets = TargetTracks()
+        self._targets = TargetPyramid()
         self._regions = strategies.regions.fitted(resolution)
         self._tracked = -1  # The last frame's index.
         self._outliner = Outliner(
@@ -115,12 +115,11 @@ class Pipeline:
             # Detections: objects cut out of the picture where something moves (eq. 5 to 9).
             tilt = resolution.tilt_in_detail(min(moving.motion.tilt, BEYOND_TURBULENCE))
             expected = tracker.expected_objects(ego_motion, shape)
+            targets = self._targets.moving_at(self.window.count - 1 - index)
             detections = self._outliner.detections(
-                index, moving, expected, overlays, tilt, frame.stamp
+                index, moving, targets, expected, overlays, tilt, frame.stamp
             )
             image = self.window[index].detail
-            targets = self._targets.moving_at(self.window.count - 1 - index)
-            detections = with_targets(detections, targets, image, resolution)
             detections = self._regions.looked_at(detections, expected)
             self._observer.detections(frame.stamp, detections, resolution)
             # Tracks: which object is which of those before (eq. 4).

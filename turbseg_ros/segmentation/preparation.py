@@ -12,6 +12,7 @@ import numpy as np
 
 from turbseg_ros.arrays import ByteImage, Mask, Matrix
 from turbseg_ros.segmentation.background import MaskedImage, unmasked
+from turbseg_ros.segmentation.blobs import Blobs, blob_pyramid
 from turbseg_ros.segmentation.camera_state import CameraTrack
 from turbseg_ros.segmentation.condition import Condition
 from turbseg_ros.segmentation.damage import Usual, judged
@@ -19,7 +20,6 @@ from turbseg_ros.segmentation.frame import Frame
 from turbseg_ros.segmentation.observer import StageObserver
 from turbseg_ros.segmentation.registration import register
 from turbseg_ros.segmentation.resolution import Resolution
-from turbseg_ros.segmentation.small_targets import NO_BLOBS, Blobs, blobs_in
 from turbseg_ros.segmentation.tone import ToneMap
 
 
@@ -33,7 +33,7 @@ class PreparedFrame:
     `continues` tells whether the two have anything in common, `condition` whether all of it shows
     what that one showed, and `usual` what is so from frame to frame, None for a scene's first;
     `camera` is what is known of the camera's motion by then, and `stands` whether its registration
-    says that it stands; `blobs` are what stands out in it.
+    says that it stands; `blobs` are what stands out in it at each scale, if that is looked for.
     """
 
     index: int
@@ -46,7 +46,7 @@ class PreparedFrame:
     usual: Usual | None = None
     camera: CameraTrack = field(default_factory=CameraTrack)
     stands: bool = False
-    blobs: Blobs = NO_BLOBS
+    blobs: tuple[Blobs, ...] = ()
 
     @functools.cached_property
     def to_previous(self) -> Matrix:
@@ -93,7 +93,7 @@ def prepare(
             motion = None if found is None else from_previous
             condition, usual = judged(grey, previous.grey, motion, previous.usual)
     with observer.stage("small targets"):
-        blobs = blobs_in(grey) if small_targets else NO_BLOBS
+        blobs = blob_pyramid(grey) if small_targets else ()
     return PreparedFrame(
         index=index,
         grey=grey,

@@ -1,4 +1,4 @@
-"""Which of the small targets that were followed have moved, each against the others.
+"""Which of the targets that were followed have moved, each against the others.
 
 What stands still is displaced as far as registration errs, and so is its neighbour: a target is
 told by its displacement against others near it that stand. A large thing that moves has many
@@ -27,11 +27,18 @@ _END = 4
 # strength believed then.
 _MIN_DISPLACEMENT, _MIN_DISPLACEMENT_ALONE, _DRIFT = 2.0, 3.0, 0.015
 _LONG, _STRONG = 24, 15.0
+# The same of what is larger: the middle of many pixels wanders less, and is seldom noise.
+_LARGE_LONG, _LARGE_STRONG = 12, 4.0
 # Pixels over its strength by which the place of what is faint wanders with what lies behind it.
 _WIDTH = 3.5
 # Others that a displacement is compared with, the nearest, the fewest that tell something, and the
 # share of them that it must be significant against.
 _OTHERS, _FEWEST, _SHARE = 8, 3, 0.75
+# Pixels in so many frames that what is large rests below: whether it stays is told by its picture.
+_RESTS, _LATELY = 0.5, 6
+# Share of the scene's way in the picture up to which what is large lies nearer than the scene, or
+# further away.
+_PARALLAX = 0.6
 # Share of the frames that it must be seen in, and side in pixels of the parts of the picture that
 # have a say each.
 _SEEN, _PART = 0.6, 72
@@ -55,7 +62,8 @@ class FollowedTargets:
     `paths` are the places (x, y) of N targets in T frames, NxTx2, in coordinates of the newest
     frame, from the one where each was first seen and NaN before; `sightings` the same as they
     came, NaN where not seen. `places`, Nx2, are where they are now, `strengths` how clearly they
-    stand out; `moved`, N, which were found to move before.
+    stand out; `moved`, N, which were found to move before. Pixels are those of a picture `scale`
+    times smaller than at processing resolution.
     """
 
     paths: Points
@@ -63,6 +71,7 @@ class FollowedTargets:
     places: Points
     strengths: Numbers
     moved: Mask
+    scale: int = 1
 
 
 def have_moved(targets: FollowedTargets, every: int, tests: int, camera_known: int) -> Mask:
@@ -78,7 +87,7 @@ def have_moved(targets: FollowedTargets, every: int, tests: int, camera_known: i
     paths = _Paths(targets.paths)
     length = np.linalg.norm(paths.displacements, axis=1)
     apart = np.linalg.norm(paths.displacements - np.median(paths.displacements, axis=0), axis=1)
-    still = targets.places[apart < 2.0 * _MIN_DISPLACEMENT]
+    still = targets.scale * targets.places[apart < 2.0 * _MIN_DISPLACEMENT]
     if count > _FEWEST and not (len(still) and np.ptp(still, axis=0).max() > _SPREAD):
         # Registration may hang on one thing, and the scene be what moves.
         return moved
@@ -86,6 +95,7 @@ def have_moved(targets: FollowedTargets, every: int, tests: int, camera_known: i
     stands = ~targets.moved & (jitters | (length < _BURNT_IN))
     drift = _scatter(paths.displacements[~targets.moved])
     chance = chance_per_test(_FALSE_ALARMS_PER_HOUR, every, tests)
+    long, strong = (_LONG, _STRONG) if targets.scale == 1 else (_LARGE_LONG, _LARGE_STRONG)
     # Most stand still, and those need no closer look.
     far = jitters & (np.maximum(apart, length) > _MIN_DISPLACEMENT / 2.0)
     for number in np.nonzero(far)[0].tolist():
@@ -95,14 +105,18 @@ def have_moved(targets: FollowedTargets, every: int, tests: int, camera_known: i
             continue
         there = stands & (paths.frames >= 0.5 * frames)
         there[number] = False
-        others = _nearest(targets.places, number, np.nonzero(there)[0])
+        others = _nearest(targets.scale * targets.places, number, np.nonzero(there)[0])
         alone = len(others) < _FEWEST
         relative = length[[number]] if alone else paths.relative(number, others)
         least = _MIN_DISPLACEMENT_ALONE if alone else _MIN_DISPLACEMENT
         factor = _STILL_MOVES if targets.moved[number] else 1.0
         if np.mean(relative > factor * least) < _SHARE:
             continue
-        if alone and not (_LONG <= frames <= camera_known and targets.strengths[number] > _STRONG):
+        if alone and not (long <= frames <= camera_known and targets.strengths[number] > strong):
+            continue
+        if targets.scale > 1 and (
+            _rests(targets.paths[number]) or _passes_with_scene(targets, number, seen)
+        ):
             continue
         # Ends are means of a few places; drift is that of a displacement, which has two.
         drifted = _DRIFT * frames if alone else drift
@@ -114,8 +128,27 @@ def have_moved(targets: FollowedTargets, every: int, tests: int, camera_known: i
     return moved
 
 
+def _rests(path: Points) -> bool:
+    """Whether a target's path, Tx2, has led nowhere lately."""
+    return bool(np.hypot(*(path[-1] - path[-1 - _LATELY])) < _RESTS)
+
+
+def _passes_with_scene(targets: FollowedTargets, number: int, seen: Mask) -> bool:
+    """Whether a target's own way is so short beside the scene's that it may be parallax.
+
+    What the camera follows has gone as far as the scene has, against it.
+
+    :param seen: the frames that show it, T.
+    """
+    first, last = np.nonzero(seen)[0][[0, -1]]
+    own, in_picture = (
+        way[number, last] - way[number, first] for way in (targets.paths, targets.sightings)
+    )
+    return bool(np.hypot(*own) < _PARALLAX * np.hypot(*(in_picture - own)))
+
+
 def parts_of(places: Points) -> int:
-    """Count the parts of the picture that some places, Nx2, are in: a large thing is in one."""
+    """Count the parts of the picture that places, Nx2, are in: a large thing is in one."""
     return len(np.unique(places // _PART, axis=0))
 
 

@@ -400,7 +400,9 @@ class Track:
         x, y = self.position - self.seen_at + frames * np.asarray(self.velocity)
         motion = ego_motion @ translation(x, y)
         outline = self.detection.outline.resampled(motion, shape, cv2.INTER_NEAREST)
-        return Detection(outline.box, outline.mask, self.velocity, moving=False)
+        return Detection(
+            outline.box, outline.mask, self.velocity, moving=False, targets=self.targets
+        )
 
     def observed(self, detection: Detection) -> Observation:
         """Remember where it is now; return what is known of it in this frame.

@@ -1,4 +1,4 @@
-"""Targets of a few pixels, drawn before a noisy sky: which are found to move, and which aren't."""
+"""Targets drawn before a noisy sky: which are found to move, and which aren't."""
 
 from __future__ import annotations
 
@@ -9,37 +9,18 @@ import numpy as np
 import pytest
 
 from support.drawn_clip import segmented
+from support.drawn_sky import SHAPE, sky_with_dots
 from turbseg_ros.parameters import Parameters
+from turbseg_ros.segmentation.blobs import NO_BLOBS, blob_pyramid, blobs_in
 from turbseg_ros.segmentation.camera_state import CameraState
-from turbseg_ros.segmentation.cropped_mask import CroppedMask
 from turbseg_ros.segmentation.geometry import translation
-from turbseg_ros.segmentation.resolution import Resolution
-from turbseg_ros.segmentation.small_targets import (
-    NO_BLOBS,
-    SmallTarget,
-    TargetTracks,
-    blobs_in,
-    with_targets,
-)
-from turbseg_ros.segmentation.track import Detection
+from turbseg_ros.segmentation.target_tracks import TargetPyramid, TargetTracks
 
-SHAPE = (120, 180)
 # Lamps that stand still, and where the target begins (x, y).
 LAMPS = [(20.0, 100.0), (60.0, 104.0), (100.0, 98.0), (150.0, 102.0), (130.0, 60.0)]
 START = (40.0, 40.0)
-RESOLUTION = Resolution(input=(180, 120), processing=(180, 120), detail=(180, 120))
 
 Place = Callable[[int], tuple[float, float]]
-
-
-def picture(dots: list[tuple[float, float]], seed: int, contrast: float = 40.0) -> np.ndarray:
-    """Draw bright dots three pixels wide at (x, y) before a sky of noise 1."""
-    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
-    sky = np.full(SHAPE, 90.0)
-    for each in dots:
-        sky += contrast * np.exp(-((x - each[0]) ** 2 + (y - each[1]) ** 2) / 3.0)
-    noisy = sky + np.random.default_rng(seed).normal(0.0, 1.0, SHAPE)
-    return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
 
 
 def followed(
@@ -48,33 +29,13 @@ def followed(
     """Return tracks after so many frames, in each of which registration errs by a drift."""
     tracks = TargetTracks()
     for index in range(frames):
-        seen = picture([*lamps, target(index)], index)
+        seen = sky_with_dots([*lamps, target(index)], index)
         tracks.take(blobs_in(seen), translation(drift if index else 0.0, 0.0))
     return tracks
 
 
 def straight(speed: float) -> Place:
     return lambda index: (START[0] + speed * index, START[1])
-
-
-def test_what_stands_out_is_found_where_it_is() -> None:
-    blobs = blobs_in(picture([(50.3, 40.0)], 1))
-    assert blobs.points.shape == (1, 2)
-    np.testing.assert_allclose(blobs.points[0], (50.3, 40.0), atol=0.4)
-    assert blobs.contrast[0] > 10.0
-
-
-def test_a_darker_target_has_a_negative_contrast() -> None:
-    blobs = blobs_in(picture([(50.0, 40.0)], 1, contrast=-40.0))
-    assert len(blobs.contrast) == 1
-    assert blobs.contrast[0] < -10.0
-
-
-@pytest.mark.parametrize("part", [np.s_[:0], np.s_[70:], np.s_[20:23], np.s_[:, 80:83]], ids=str)
-def test_noise_edges_and_wires_do_not_stand_out(part: tuple[slice, ...]) -> None:
-    seen = picture([], 1)
-    seen[part] += 50
-    assert len(blobs_in(seen).points) == 0
 
 
 @pytest.mark.parametrize("speed", [0.06, 0.5, 3.0])
@@ -111,7 +72,7 @@ def test_a_scene_that_passes_what_registration_hangs_on_does_not_move() -> None:
     tracks = TargetTracks()
     for index in range(40):
         dots = [START, (START[0] + 12.0, START[1]), *passing(index)]
-        tracks.take(blobs_in(picture(dots, index)), np.eye(3))
+        tracks.take(blobs_in(sky_with_dots(dots, index)), np.eye(3))
     assert tracks.moving_at(0) == []
 
 
@@ -119,7 +80,7 @@ def test_what_is_burnt_in_does_not_move_while_the_camera_does() -> None:
     tracks = TargetTracks()
     for index in range(40):
         lamps = [(x - 0.4 * index, y) for x, y in LAMPS]
-        tracks.take(blobs_in(picture([*lamps, START], index)), translation(-0.4, 0.0))
+        tracks.take(blobs_in(sky_with_dots([*lamps, START], index)), translation(-0.4, 0.0))
     assert tracks.moving_at(0) == []
 
 
@@ -129,7 +90,7 @@ def panning(target: Place, vouching: list[tuple[float, float]], fixed: bool) -> 
     for index in range(40):
         shift = 0.0 if fixed else -0.5 * index
         others = [(x + shift, y) for x, y in vouching]
-        seen = picture([*others, target(index)], index, contrast=15.0)
+        seen = sky_with_dots([*others, target(index)], index, contrast=15.0)
         tracks.take(blobs_in(seen), translation(-0.5, 0.0))
     return tracks
 
@@ -150,7 +111,7 @@ def test_alone_in_the_sky_a_target_is_believed_while_the_camera_is_known(
 ) -> None:
     tracks = TargetTracks()
     for index in range(40):
-        seen = picture([straight(1.0)(index)], index)
+        seen = sky_with_dots([straight(1.0)(index)], index)
         tracks.take(blobs_in(seen), np.eye(3), state)
     assert len(tracks.moving_at(0)) == found
 
@@ -173,31 +134,9 @@ def test_what_lies_in_burnt_in_cells_is_not_followed() -> None:
     overlay[:15] = True
     tracks = TargetTracks()
     for index in range(30):
-        seen = picture([*LAMPS[:4], straight(1.0)(index)], index)
+        seen = sky_with_dots([*LAMPS[:4], straight(1.0)(index)], index)
         tracks.take(blobs_in(seen), np.eye(3), overlay=overlay)
     assert tracks.moving_at(0) == []
-
-
-def test_a_target_becomes_a_detection_of_its_size() -> None:
-    image = picture([START], 1)[..., None]
-    target = SmallTarget(START, (0.5, 0.0), 20.0, 7)
-    (found,) = with_targets([], [target], image, RESOLUTION)
-    assert found.targets == {7} and found.moving
-    assert 9 <= found.area <= 40
-    np.testing.assert_allclose(found.centroid, START, atol=0.7)
-
-
-@pytest.mark.parametrize(("side", "shown"), [(8, {7}), (80, set())])
-def test_an_outline_that_shows_the_target_stands_for_it(side: int, shown: set[int]) -> None:
-    image = picture([START], 1)[..., None]
-    mask = np.zeros(SHAPE, np.uint8)
-    cv2.rectangle(mask, (36, 36), (36 + side, 36 + side), 1, cv2.FILLED)
-    outline = CroppedMask.of(mask > 0)
-    outlined = Detection(outline.box, outline.mask, (0.5, 0.0), moving=True)
-    target = SmallTarget(START, (0.5, 0.0), 20.0, 7)
-    (found,) = with_targets([outlined], [target], image, RESOLUTION)
-    assert found.area == outlined.area
-    assert found.targets == shown
 
 
 def test_nothing_is_followed_in_a_frame_without_blobs() -> None:
@@ -210,6 +149,66 @@ def test_nothing_is_followed_in_a_frame_without_blobs() -> None:
 def test_small_targets_are_reported_only_when_they_are_wanted(wanted: bool) -> None:
     sizes = {"resolution.processing": 180, "resolution.detail": 180}
     parameters = Parameters.from_mapping({**sizes, "seed.small_targets": wanted})
-    pictures = [picture([*LAMPS, straight(0.5)(index)], index) for index in range(48)]
+    pictures = [sky_with_dots([*LAMPS, straight(0.5)(index)], index) for index in range(48)]
     found = [moving for result in segmented(pictures, parameters) for moving in result.objects]
     assert bool(found) is wanted
+
+
+def boat_on_a_sea(places: Place, sea: float, frames: int) -> TargetPyramid:
+    """Return what was followed of a dark boat on a plain sea before a camera that pans.
+
+    :param places: where the boat is in the picture, by frames.
+    :param sea: pixels that the sea moves by in the picture a frame.
+    """
+    targets = TargetPyramid()
+    for index in range(frames):
+        picture = np.random.default_rng(index).normal(120.0, 1.0, (240, 320))
+        x, y = places(index)
+        cv2.circle(picture, (round(x), round(y)), 10, 60.0, cv2.FILLED)
+        seen = np.clip(np.rint(picture), 0, 255).astype(np.uint8)
+        targets.take(blob_pyramid(seen), translation(sea if index else 0.0, 0.0))
+    return targets
+
+
+@pytest.mark.parametrize(
+    ("speed", "sea", "moves"),
+    [
+        (1.0, 0.0, True),
+        (-0.2, -1.5, True),
+        (-0.5, -1.5, True),
+        (-1.0, -1.5, False),
+        (-1.5, -1.5, False),
+    ],
+    ids=["crosses", "followed", "followed worse", "parallax", "scene"],
+)
+def test_a_large_target_moves_unless_it_may_be_parallax(
+    speed: float, sea: float, moves: bool
+) -> None:
+    def places(index: int) -> tuple[float, float]:
+        return 200.0 + speed * index, 120.0
+
+    found = boat_on_a_sea(places, sea, 40).moving_at(0)
+    assert bool(found) is moves
+    for target in found:
+        assert target.scale > 1
+        assert target.frames > 4
+        np.testing.assert_allclose(target.place, places(39), atol=2.0)
+        np.testing.assert_allclose(target.velocity, (speed - sea, 0.0), atol=0.3)
+
+
+def test_targets_of_all_scales_have_numbers_of_their_own() -> None:
+    targets = TargetPyramid()
+    for index in range(40):
+        picture = np.full((240, 320), 120, np.uint8)
+        cv2.circle(picture, (60 + 2 * index, 60), 10, 60, cv2.FILLED)
+        cv2.circle(picture, (60 + 2 * index, 160), 1, 220, cv2.FILLED)
+        targets.take(blob_pyramid(picture), np.eye(3))
+    found = targets.moving_at(0)
+    assert {1} < {target.scale for target in found}
+    assert len({target.number for target in found}) == len(found)
+
+
+def test_nothing_is_followed_where_no_blobs_are_looked_for() -> None:
+    targets = TargetPyramid()
+    targets.take((), np.eye(3))
+    assert targets.moving_at(0) == []
