@@ -413,6 +413,7 @@ class GrowingParameters:
         "Let regions that share a velocity go on where their motion does, with a scale of its "
         "own: what comes closer or goes.",
         read_only=True,
+        used_when={"growing.similarity": ("velocity",)},
     )
 
 

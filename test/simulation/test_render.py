@@ -243,6 +243,8 @@ def test_noise_is_what_the_electrons_make() -> None:
 def test_an_unknown_scene_names_the_nearest() -> None:
     with pytest.raises(UnknownSceneError, match=r"'sever'.*'severe'.*normal, "):
         scene("sever")
+    with pytest.raises(UnknownSceneError, match=r"'oncoming'.*normal, .*, oncoming"):
+        scene("oncomin", others=["oncoming"])
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])

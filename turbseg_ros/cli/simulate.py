@@ -103,7 +103,7 @@ def _chosen_scenes(name: str, seed: int, out: Path) -> list[tuple[Scene, Path]]:
         chosen = [(oncoming_scene(seed), out)]
     else:
         try:
-            chosen = [(scene(name), out)]
+            chosen = [(scene(name, others=(ONCOMING, "all")), out)]
         except UnknownSceneError as error:
             raise UsageError(str(error)) from error
     for _, path in chosen:

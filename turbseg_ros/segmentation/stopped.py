@@ -66,7 +66,7 @@ class _Stopped:
 
 
 @dataclass(frozen=True)
-class _Surroundings:
+class _RestOfFrame:
     """What else a frame shows; see `StoppedObjects.completed`."""
 
     detections: Sequence[Detection]
@@ -160,7 +160,7 @@ class StoppedObjects:
                 stopped = replace(stopped, place=place.with_picture(image))
             self._stopped[track] = stopped
             if sight is not Sight.OTHER:
-                around = _Surroundings(result, known, moving, image, stamp)
+                around = _RestOfFrame(result, known, moving, image, stamp)
                 result = self._with_standing(track, around, sight)
             elif stopped.rested:
                 outline = place.outline_in(self._resolution.detail_shape)
@@ -198,7 +198,7 @@ class StoppedObjects:
     def _is_same_view(self, index: int) -> bool:
         return self._window[index].camera.view == self._window[self._index].camera.view
 
-    def _with_standing(self, track: Track, there: _Surroundings, sight: Sight) -> list[Detection]:
+    def _with_standing(self, track: Track, there: _RestOfFrame, sight: Sight) -> list[Detection]:
         """Return detections with the one of an object that its place shows."""
         shape, stopped = self._resolution.detail_shape, self._stopped[track]
         place, expected = stopped.place, stopped.place.outline_in(shape)
@@ -225,7 +225,7 @@ class StoppedObjects:
         ]
         return [*left, replace(_standing(told, track), absorbed=absorbed)]
 
-    def _move(self, track: Track, outline: CroppedMask, there: _Surroundings) -> None:
+    def _move(self, track: Track, outline: CroppedMask, there: _RestOfFrame) -> None:
         """Take an object to be where it is outlined, which its place may no longer hold."""
         shape = self._resolution.detail_shape
         place = self._stopped[track].place.with_outline(outline, shape)

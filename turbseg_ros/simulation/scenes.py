@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from .camera import CameraMotion, Sensor
@@ -40,16 +41,18 @@ class UnknownSceneError(ValueError):
     """A scene was asked for that does not exist; the message names those that do."""
 
 
-def scene(name: str) -> Scene:
+def scene(name: str, others: Sequence[str] = ()) -> Scene:
     """Return the scene of that name.
 
+    :param others: further names that a caller has something for, and a user may have meant.
     :raises UnknownSceneError: when there is none.
     """
     if name in SCENES:
         return SCENES[name]
-    close = difflib.get_close_matches(name, SCENES, n=1, cutoff=0.4)
+    names = [*SCENES, *others]
+    close = difflib.get_close_matches(name, names, n=1, cutoff=0.4)
     hint = f" Did you mean '{close[0]}'?" if close else ""
-    raise UnknownSceneError(f"There is no scene '{name}'.{hint} Scenes: {', '.join(SCENES)}.")
+    raise UnknownSceneError(f"There is no scene '{name}'.{hint} Scenes: {', '.join(names)}.")
 
 
 def _drive(x: float, y: float, velocity: float, frames: int = 75) -> Path:
