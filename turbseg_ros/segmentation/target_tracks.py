@@ -86,11 +86,12 @@ class TargetPyramid:
 
 
 class TargetTracks:
-    """Follows what stands out in pictures so many times smaller; tells what of it has moved."""
+    """Follows what stands out at one scale, and tells what of it has moved significantly."""
 
     def __init__(self, scale: int = 1, numbers: Iterator[int] | None = None) -> None:
         """Set up tracks of nothing.
 
+        :param scale: by how many times the pictures are smaller than at processing resolution.
         :param numbers: those of the targets to come.
         """
         self._scale = scale
