@@ -61,7 +61,7 @@ def test_nothing_new_is_an_object_while_the_camera_slews() -> None:
 
 
 def test_without_that_rule_it_would_be(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(outliner, "_is_known_or_followed", lambda *_: True)
+    monkeypatch.setattr(outliner, "_is_known_or_followed", lambda *_, **__: True)
     assert any(result.objects for result in segmented(SLEW, PARAMETERS)[3:20])
 
 

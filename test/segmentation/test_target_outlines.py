@@ -94,9 +94,9 @@ def test_one_thing_that_is_a_target_at_two_scales_is_outlined_once() -> None:
 
 
 def test_objects_are_looked_for_around_a_large_target_that_no_flow_shows() -> None:
-    (area,) = target_areas([boat()], [], RESOLUTION)
+    (area,) = target_areas([boat()], np.zeros(SHAPE, bool), RESOLUTION)
     assert area.search_mask.common_area(CroppedMask.of(disc())) > 0.9 * disc().sum()
-    assert target_areas([boat()], [area], RESOLUTION) == []
+    assert target_areas([boat()], area.search_mask.in_frame(SHAPE), RESOLUTION) == []
 
 
 def test_a_large_target_beside_nothing_is_a_detection() -> None:

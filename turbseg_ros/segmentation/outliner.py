@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol
@@ -189,9 +190,10 @@ class Outliner:
         shape = self._resolution.detail_shape
         image = self._window[index].detail
         outlined = outlined_targets(targets, image, self._resolution)
-        areas = [*moving.areas, *target_areas(outlined, moving.areas, self._resolution)]
-        moving = replace(moving, areas=areas)
-        measured = union_mask([area.search_mask for area in areas], shape)
+        measured = union_mask([area.search_mask for area in moving.areas], shape)
+        followed = target_areas(outlined, measured, self._resolution)
+        measured |= union_mask([area.search_mask for area in followed], shape)
+        moving = replace(moving, areas=[*moving.areas, *followed])
         proposed = self._standing_areas(index, moving, measured, tilt)
         proposed = _apart_or_whole(
             proposed, [each.outline for each in expected if not _leaves_soon(each)], shape
@@ -221,13 +223,11 @@ class Outliner:
             if outline.area >= _MIN_OUTLINE
         ]
         if self._window[index].camera.state is CameraState.SLEWING:
-            expected_mask, turn = union_mask(known, shape), self._turn(index)
-            found = [each for each in found if _is_known_or_followed(each, expected_mask, turn)]
-            outlined = [
-                each
-                for each in outlined
-                if _is_known_or_followed(each.detection, expected_mask, turn)
-            ]
+            remains = functools.partial(
+                _is_known_or_followed, expected=union_mask(known, shape), turn=self._turn(index)
+            )
+            found = [each for each in found if remains(each)]
+            outlined = [each for each in outlined if remains(each.detection)]
         completed = self._stopped.completed(found, known, measured, image, tilt, stamp)
         return with_targets(completed, outlined, expected, shape)
 

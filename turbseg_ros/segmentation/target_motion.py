@@ -13,10 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from turbseg_ros.arrays import Mask
+from turbseg_ros.segmentation.blobs import Numbers, Points
 from turbseg_ros.segmentation.significance import chance_per_test, jitter, significant_displacement
 
-Points = npt.NDArray[np.float64]
-Numbers = npt.NDArray[np.float64]
 Counts = npt.NDArray[np.int64]
 Indices = npt.NDArray[np.intp]
 

@@ -11,7 +11,7 @@ import numpy as np
 from turbseg_ros.arrays import ByteImage, Map, Mask
 from turbseg_ros.segmentation.areas import MovingArea
 from turbseg_ros.segmentation.blobs import RING, SMALL
-from turbseg_ros.segmentation.cropped_mask import EMPTY_MASK, Box, CroppedMask, union_mask
+from turbseg_ros.segmentation.cropped_mask import EMPTY_MASK, Box, CroppedMask
 from turbseg_ros.segmentation.resolution import Resolution
 from turbseg_ros.segmentation.target_tracks import Target
 from turbseg_ros.segmentation.track import Detection
@@ -47,11 +47,6 @@ class OutlinedTarget:
     target: Target
     detection: Detection
 
-    @property
-    def is_small(self) -> bool:
-        """Whether it was found in the picture as it is."""
-        return self.target.scale == 1
-
 
 def outlined_targets(
     targets: Sequence[Target], image: ByteImage, resolution: Resolution
@@ -67,25 +62,25 @@ def outlined_targets(
         detection = _detection(target, image, resolution)
         if detection is None:
             continue
-        found = OutlinedTarget(target, detection)
-        if found.is_small or not any(_is_part(detection, each.detection) for each in outlined):
-            outlined.append(found)
+        if target.is_small or not any(_is_part(detection, each.detection) for each in outlined):
+            outlined.append(OutlinedTarget(target, detection))
     return outlined
 
 
 def target_areas(
-    targets: Sequence[OutlinedTarget], areas: Sequence[MovingArea], resolution: Resolution
+    targets: Sequence[OutlinedTarget], measured: Mask, resolution: Resolution
 ) -> list[MovingArea]:
-    """Return where large targets are, but for those that areas show to move for the most part."""
-    shape = resolution.detail_shape
-    seen = union_mask([area.search_mask for area in areas], shape)
+    """Return where large targets are that aren't seen to move for the most part anyway.
+
+    :param measured: HxW at detail resolution, where flow shows something to move.
+    """
     found = []
     for each in targets:
         outline = each.detection.outline
-        if each.is_small or outline.intersection_area(seen) >= _SAME * outline.area:
+        if each.target.is_small or outline.intersection_area(measured) >= _SAME * outline.area:
             continue
         beside = round(each.target.scale * resolution.detail_from_processing[0])
-        around = outline.dilated(beside, shape)
+        around = outline.dilated(beside, resolution.detail_shape)
         found.append(MovingArea(around, EMPTY_MASK, EMPTY_MASK, each.detection.velocity))
     return found
 
@@ -111,7 +106,7 @@ def with_targets(
         ]
         if not there:
             result.append(target.detection)
-        elif target.is_small:
+        elif target.target.is_small:
             for number in there:
                 if result[number].area < _MUCH_LARGER * target.detection.area:
                     result[number] = _showing(result[number], target)
@@ -183,7 +178,7 @@ def _outline(
     """
     shape = image.shape[:2]
     pixel = target.scale * scale
-    if target.scale == 1:
+    if target.is_small:
         reach, core, ends = _CROP, _CORE, np.inf
     else:
         reach, core = round((RING + _BEYOND_RING) * pixel), round(_LARGE_CORE * pixel)

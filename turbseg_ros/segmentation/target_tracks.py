@@ -15,16 +15,18 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from turbseg_ros.arrays import Mask, Matrix
 from turbseg_ros.segmentation.blobs import MOST, SCALES, SMALL, Blobs, Numbers, Points
 from turbseg_ros.segmentation.camera_state import CameraState
 from turbseg_ros.segmentation.clutter import CELL
 from turbseg_ros.segmentation.geometry import scaling
-from turbseg_ros.segmentation.target_motion import FollowedTargets, have_moved, parts_of
-
-_Counts = npt.NDArray[np.int64]
+from turbseg_ros.segmentation.target_motion import (
+    Counts,
+    FollowedTargets,
+    have_moved,
+    parts_of,
+)
 
 # Frames of a path that are remembered, and those at its end that tell a velocity.
 _MEMORY, _RECENT = 96, 12
@@ -56,6 +58,11 @@ class Target:
     scale: int = 1
     frames: int = 0
 
+    @property
+    def is_small(self) -> bool:
+        """Whether it was found in the picture as it is."""
+        return self.scale == 1
+
 
 class TargetPyramid:
     """Follows what stands out at each of the `SCALES`."""
@@ -71,11 +78,9 @@ class TargetPyramid:
         state: CameraState = CameraState.STILL,
         overlay: Mask | None = None,
     ) -> None:
-        """Take what stands out in the next frame, at each scale; nothing where none is looked for.
+        """Take what stands out in the next frame at each scale; see `TargetTracks.take`.
 
-        :param ego_motion: takes processing pixels of the frame before to this one's.
-        :param state: what the camera does in it.
-        :param overlay: hxw cells that are no scene; None where none are known.
+        :param blobs: those of each scale; none where they aren't looked for.
         """
         for tracks, found in zip(self._tracks, blobs, strict=False):
             tracks.take(found, ego_motion, state, overlay)
@@ -96,8 +101,9 @@ class TargetTracks:
         """
         self._scale = scale
         self._new_numbers = itertools.count(1) if numbers is None else numbers
-        # Takes processing pixels to those of the smaller picture.
+        # Take processing pixels to those of the smaller picture, and back.
         self._to_smaller = scaling(1.0 / scale, 1.0 / scale)
+        self._from_smaller = scaling(scale, scale)
         # Places of N tracks in the newest frame's coordinates, from where each was first seen to
         # where it is, and before that NaN; and as they came, NaN where it was not seen.
         self._paths: Points = np.zeros((0, _MEMORY, 2))
@@ -107,11 +113,11 @@ class TargetTracks:
         self._velocities: Points = np.zeros((0, 2))
         self._contrasts: Numbers = np.zeros(0)
         self._strengths: Numbers = np.zeros(0)
-        self._hits: _Counts = np.zeros(0, np.int64)
-        self._misses: _Counts = np.zeros(0, np.int64)
+        self._hits: Counts = np.zeros(0, np.int64)
+        self._misses: Counts = np.zeros(0, np.int64)
         # For how many frames each has been known to move, 0 where it isn't.
-        self._moved_for: _Counts = np.zeros(0, np.int64)
-        self._numbers: _Counts = np.zeros(0, np.int64)
+        self._moved_for: Counts = np.zeros(0, np.int64)
+        self._numbers: Counts = np.zeros(0, np.int64)
         self._count = 0
         # Frames since the camera's motion was not known.
         self._since_lost = 0
@@ -132,7 +138,7 @@ class TargetTracks:
         self._count += 1
         self._moved_for[self._moved_for > 0] += 1
         self._since_lost = 0 if state is CameraState.LOST else self._since_lost + 1
-        self._propagate(self._to_smaller @ ego_motion @ np.linalg.inv(self._to_smaller))
+        self._propagate(self._to_smaller @ ego_motion @ self._from_smaller)
         blobs = self._in_scene(blobs, overlay)
         taken = self._match(blobs)
         self._estimate()
