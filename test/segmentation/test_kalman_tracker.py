@@ -356,6 +356,12 @@ def test_a_place_that_jumps_must_be_seen_twice_as_often_but_not_at_the_border() 
     assert late >= 2 * CONFIRMATION - 1 > at_once
 
 
+@pytest.mark.parametrize(("flow", "known"), [(1.5, True), (-1.5, False)])
+def test_what_goes_against_its_own_flow_never_becomes_an_object(flow: float, known: bool) -> None:
+    going = [seen(20 + 2 * k, 20, (flow, 0.0)) for k in range(12)]
+    assert (confirmed_at(going) is not None) is known
+
+
 def test_what_sways_widely_is_no_object_for_long() -> None:
     tracker = tracker_of()
     known = [

@@ -385,6 +385,8 @@ class KalmanTracker:
             return False
         if track.hits < _FLICKER_HITS * self._min_hits and _flickers(track, tilt):
             return False
+        if _opposes_flow(track):
+            return False
         wanted = max(
             self._significant_displacement(track, tilt),
             _CONFIRMED_RATIO * sum(track.flow_speeds),
@@ -450,6 +452,12 @@ def _flickers(track: Track, tilt: float) -> bool:
     if track.detection.flow_known:
         usual = max(usual, _REDRAWN * float(np.sqrt(track.detection.area)))
     return jitter(track.sightings, tilt) > _FLICKER * usual
+
+
+def _opposes_flow(track: Track) -> bool:
+    """Whether its outline has come the other way than flow tells, as that of a flag does."""
+    way = track.position - track.start
+    return track.detection.flow_known and float(way @ np.array(track.detection.velocity)) < 0.0
 
 
 def _gets_clear(track: Track, tilt: float) -> bool:
