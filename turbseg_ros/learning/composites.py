@@ -1,7 +1,8 @@
 """Composites, to train on: real movers before real scenery, through drawn air and cameras.
 
 Some clips show a footage as it is, with its own movers; others put cut-outs and drawn objects
-before a picture or a video, in which leaves, water, smoke and light stir that are no objects.
+before a picture or a video, in which leaves, water, smoke and light stir that are no objects. Nor
+are the shadows that movers cast, and the dust that they raise.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from turbseg_ros.arrays import Image, Labels, Matrix
 from turbseg_ros.learning.random_scenes import random_camera, random_object
 from turbseg_ros.segmentation.frame import Frame
 from turbseg_ros.simulation.camera import Sensor
+from turbseg_ros.simulation.companions import Plume, Sun, random_plume, random_sun
 from turbseg_ros.simulation.footage import Crop, Cutout, CutoutLook, Footage
 from turbseg_ros.simulation.objects import KINDS, Path, PlacedSprite, Pose, Sprite
 from turbseg_ros.simulation.render import FIRST_STAMP_NS
@@ -38,6 +40,8 @@ _SIZES = 6.0, 200.0
 _SPEEDS = 0.0006, 0.02
 _TILTS = 0.05, 2.0
 _CALM = 0.15
+# Clips in sunlight, and movers that raise dust or spray.
+_SUNNY, _DUSTY = 0.6, 0.2
 _THERMAL = 0.25
 _RATE_HZ = 30.0
 _WIDEST = 640
@@ -67,6 +71,11 @@ class _Scenery(Protocol):
 
 
 class _Actor(Protocol):
+    """What moves: where its foot is in the scene, frame by frame, and its size, in pixels."""
+
+    positions: Matrix
+    size: float
+
     def place(self, frame: int, to_picture: Matrix, behind: Field) -> list[PlacedSprite]:
         """Return itself as placed in a picture, then what is drawn with it but not it."""
 
@@ -160,7 +169,10 @@ class _Stage:
         count = 0 if rng.random() < _EMPTY else int(rng.integers(1, _MAX_OBJECTS + 1))
         if as_it_is and rng.random() < 0.6:
             count = 0
-        self._actors = [self._actor(number, material, rng) for number in range(count)]
+        sun = random_sun(rng) if not self.thermal and rng.random() < _SUNNY else None
+        self._actors = [
+            _accompanied(self._actor(number, material, rng), sun, rng) for number in range(count)
+        ]
         self._screen = _random_screen(painted, rng) if rng.random() < 0.2 else None
         self._is_grey_inverted = self.thermal and rng.random() < 0.4
 
@@ -242,13 +254,14 @@ class _Shown:
 
 class _CutoutActor:
     def __init__(self, cutout: Cutout, positions: Matrix, pitch: float, mirrored: bool) -> None:
+        self.positions = positions
+        self.size = cutout.size
         self._cutout = cutout
-        self._positions = positions
         self._pitch = pitch
         self._mirrored = mirrored
 
     def place(self, frame: int, to_picture: Matrix, behind: Field) -> list[PlacedSprite]:
-        x, y = self._positions[frame]
+        x, y = self.positions[frame]
         pose = Pose(float(x), float(y), self._pitch, self._mirrored)
         return self._cutout.place(frame, pose, to_picture, behind.mean(axis=(0, 1)))
 
@@ -264,16 +277,41 @@ class _DrawnActor:
     ) -> None:
         height, width = shape
         drawn = random_object(rng, number + 1, width, height, frames)
+        self.positions = drawn.path.positions(frames)
+        self.size = drawn.size
         self._kind = KINDS[drawn.kind]
-        self._positions = drawn.path.positions(frames)
-        self._mirrored = bool(self._positions[-1, 0] < self._positions[0, 0])
+        self._mirrored = bool(self.positions[-1, 0] < self.positions[0, 0])
         self._sprite = Sprite(drawn, thermal, rng)
 
     def place(self, frame: int, to_picture: Matrix, behind: Field) -> list[PlacedSprite]:
-        x, y = self._positions[frame]
+        x, y = self.positions[frame]
         phase = (frame / self._kind.cycle_frames) % 1.0
         pose = Pose(float(x), float(y), mirrored=self._mirrored)
         return [self._sprite.place(phase, pose, to_picture)]
+
+
+@dataclass(frozen=True)
+class _Accompanied:
+    """An actor with its shadow, and with the dust that it raises, if there are any."""
+
+    actor: _Actor
+    sun: Sun | None
+    plume: Plume | None
+
+    def place(self, frame: int, to_picture: Matrix, behind: Field) -> list[PlacedSprite]:
+        drawn = self.actor.place(frame, to_picture, behind)
+        if not drawn:
+            return []
+        shadow = self.sun.shadow_of(drawn[0]) if self.sun is not None else None
+        if self.plume is not None:
+            drawn.append(self.plume.at(frame, to_picture, (behind.shape[0], behind.shape[1])))
+        return drawn if shadow is None else [*drawn, shadow]
+
+
+def _accompanied(actor: _Actor, sun: Sun | None, rng: np.random.Generator) -> _Accompanied:
+    is_dusty = rng.random() < _DUSTY
+    plume = Plume(actor.positions, actor.size, random_plume(rng), rng) if is_dusty else None
+    return _Accompanied(actor, sun, plume)
 
 
 def _footage_with(
@@ -287,7 +325,7 @@ def _footage_with(
 def _still(material: Material, shape: tuple[int, int], rng: np.random.Generator) -> _Still:
     """Draw a picture of something that stands still: in a frame of a video, too, all does."""
     sources = [*material.backgrounds, *material.objects]
-    if rng.random() < 0.1:
+    if rng.random() < 0.15:
         return _Still(_random_sky(shape, rng))
     footage = sources[int(rng.integers(len(sources)))]
     (picture,) = footage.pictures(int(rng.integers(footage.length)), 1)

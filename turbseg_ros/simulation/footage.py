@@ -120,6 +120,7 @@ class Cutout:
             raise ValueError("there is nothing in the masks to cut out")
         size = min(size, _LARGEST_MAGNIFICATION * max(extents))
         fineness = min(_FINENESS * size / max(extents), 1.0)
+        self.size = size
         self._look = look
         self._scale = size / max(extents) / fineness
         self._frames = [
