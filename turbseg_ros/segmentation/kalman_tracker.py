@@ -455,9 +455,14 @@ def _flickers(track: Track, tilt: float) -> bool:
 
 
 def _opposes_flow(track: Track) -> bool:
-    """Whether its outline has come the other way than flow tells, as that of a flag does."""
-    way = track.position - track.start
-    return track.detection.flow_known and float(way @ np.array(track.detection.velocity)) < 0.0
+    """Whether its outline has come, and goes, the other way than flow tells, as a flag's does.
+
+    That of two cars which are drawn as one may have come the other way, but goes with them.
+    """
+    if not track.detection.flow_known:
+        return False
+    ways = np.array([track.position - track.start, track.velocity])
+    return bool((ways @ np.array(track.detection.velocity) < 0.0).all())
 
 
 def _gets_clear(track: Track, tilt: float) -> bool:
