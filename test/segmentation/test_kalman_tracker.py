@@ -362,6 +362,12 @@ def test_what_goes_against_its_own_flow_never_becomes_an_object(flow: float, kno
     assert (confirmed_at(going) is not None) is known
 
 
+def test_an_outline_that_jumped_back_once_becomes_an_object_if_it_goes_with_its_flow() -> None:
+    # As that of two cars does which are drawn as one at first.
+    places = (40, 34, 34.8, 35.6, 36.4, 37.2, 38.0)
+    assert confirmed_at(seen(x, 20, (0.8, 0.0), width=30) for x in places) is not None
+
+
 def test_what_sways_widely_is_no_object_for_long() -> None:
     tracker = tracker_of()
     known = [
