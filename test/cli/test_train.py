@@ -21,10 +21,10 @@ from safetensors.torch import load_file
 from turbseg_ros.cli import train as cli
 from turbseg_ros.cli.train import Lessons, main
 from turbseg_ros.learning import training
-from turbseg_ros.learning.composites import shown_clip
 from turbseg_ros.learning.examples import Examples
 from turbseg_ros.learning.export import write_weights
 from turbseg_ros.learning.refine_net import RefineNet
+from turbseg_ros.learning.shown_clips import shown_clip
 from turbseg_ros.learning.training import HeldOut
 from turbseg_ros.learning.window_input import CHANNELS, SIDE
 
@@ -41,7 +41,12 @@ def examples() -> Examples:
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     def train(
-        examples: Examples, seed: int, steps: int, report_every: int, start: RefineNet | None
+        examples: Examples,
+        seed: int,
+        steps: int,
+        report_every: int,
+        start: RefineNet | None,
+        shown: Examples,
     ) -> Iterator[tuple[float, RefineNet]]:
         net = RefineNet(len(CHANNELS))
         for step in range(report_every, steps + 1, report_every):
@@ -49,7 +54,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
                 signal.raise_signal(signal.SIGTERM)
             yield 0.5, net
 
-    lessons = Lessons(examples(), examples(), Examples.joined([examples()]))
+    lessons = Lessons(*(examples() for _ in range(4)))
     monkeypatch.setattr(cli, "gathered", lambda *_: lessons)
     monkeypatch.setattr(training, "train", train)
     monkeypatch.setattr(training, "held_out_scores", lambda *_: HeldOut(1, 0.5, 0.5, 0.0, 0.0))
@@ -145,19 +150,23 @@ def test_composites_of_footage_are_learnt_from_and_kept(
     kept, held_out = tmp_path / "windows", tmp_path / "held"
     command = [
         *(*ARGUMENTS, "--composites", "2", "--frames", "16", "--windows", str(kept)),
+        *("--shown", "2"),
         *("--objects", str(tmp_path / "objects"), "--held-out", str(held_out)),
     ]
     assert main([*command, "-o", str(tmp_path / "weights")]) == 128 + signal.SIGTERM
     record = json.loads((tmp_path / "weights" / "training.json").read_text())
     assert record["windows"] > 0
+    assert record["windows_of_shown_footage"] > 0
     assert record["curve"][0]["footage_j"] == 0.5
-    assert "--composites 2 --objects objects --held-out held -o OUT" in record["command"]
+    assert "--composites 2 --shown 2 --objects objects --held-out held -o OUT" in record["command"]
     assert sorted(path.name for path in kept.iterdir()) == [
         "composite_000000.npz",
         "composite_000001.npz",
         "footage_000000_held_out.npz",
         "scene_000100_held_out.npz",
         "scene_000101.npz",
+        "shown_000000.npz",
+        "shown_000001.npz",
     ]
     still.save(kept / "composite_000000.npz")
     still.save(kept / "composite_000001.npz")

@@ -7,8 +7,9 @@ import pytest
 
 from support.drawn_footage import DrawnFootage
 from support.drawn_scene import DrawnScene
-from turbseg_ros.learning.composites import Material, composite_clip, shown_clip
+from turbseg_ros.learning.composites import Material, composite_clip
 from turbseg_ros.learning.examples import Examples, examples_from
+from turbseg_ros.learning.shown_clips import shown_clip
 from turbseg_ros.learning.window_input import CHANNELS, SIDE
 from turbseg_ros.parameters import Parameters
 
@@ -83,22 +84,14 @@ def test_of_nothing_nothing_is_made() -> None:
         next(composite_clip(0, FRAMES, Material([], [])))
 
 
-def test_a_footage_is_shown_as_it_is_with_its_truth() -> None:
-    clip = list(shown_clip(MOVER))
-    assert len(clip) == MOVER.length
-    for number, (frame, labels) in enumerate(clip):
-        np.testing.assert_array_equal(labels > 0, MOVER.scene.truth(number))
-        np.testing.assert_array_equal(frame.image, MOVER.pictures(number, 1)[0])
-
-
 @pytest.fixture(scope="module")
 def windows() -> Examples:
-    parameters = Parameters.from_mapping({"resolution.processing": 160})
+    parameters = Parameters.from_mapping({"resolution.processing": 160, "refine.mode": "none"})
     return examples_from(shown_clip(DrawnFootage(length=20)), parameters, step=2)
 
 
 def test_windows_are_as_many_as_the_frames_asked_for(windows: Examples) -> None:
-    parameters = Parameters.from_mapping({"resolution.processing": 160})
+    parameters = Parameters.from_mapping({"resolution.processing": 160, "refine.mode": "none"})
     footage = shown_clip(DrawnFootage(length=20))
     all_frames = examples_from(footage, parameters, step=1, ruled=False)
     assert len(all_frames) > 1.5 * len(windows) > 0

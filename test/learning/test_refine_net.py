@@ -22,7 +22,9 @@ from turbseg_ros.segmentation.frame import Frame
 torch = pytest.importorskip("torch", reason="torch is not installed: make test-learning")
 
 from safetensors.torch import load_file  # noqa: E402
+from torch import Generator, Tensor  # noqa: E402
 
+from turbseg_ros.learning import training  # noqa: E402
 from turbseg_ros.learning.export import write_onnx  # noqa: E402
 from turbseg_ros.learning.refine_net import RefineNet  # noqa: E402
 from turbseg_ros.learning.training import (  # noqa: E402
@@ -36,7 +38,7 @@ from turbseg_ros.learning.training import (  # noqa: E402
 # Training takes a minute on an idle machine, and many on a busy one.
 pytestmark = [pytest.mark.usefixtures("one_torch_thread"), pytest.mark.timeout(900)]
 
-PARAMETERS = Parameters.from_mapping({"resolution.processing": 160})
+PARAMETERS = Parameters.from_mapping({"resolution.processing": 160, "refine.mode": "none"})
 CLIP_LENGTH = 20
 
 
@@ -93,11 +95,35 @@ def test_the_loss_is_least_for_the_truth() -> None:
     assert loss_of(shifted, truth) > 10 * loss_of(right, truth)
 
 
+def test_what_is_drawn_in_a_window_without_an_object_counts_twice() -> None:
+    doubtful, nothing = torch.zeros(1, 1, SIDE, SIDE), torch.zeros(1, 1, SIDE, SIDE)
+    speck = nothing.clone()
+    speck[..., 40:42, 40:42] = 1.0
+    # The cross-entropy of an even chance is log 2; the Dice coefficients are nearly alike.
+    more = float(loss_of(doubtful, nothing) - loss_of(doubtful, speck))
+    assert more == pytest.approx(np.log(2.0), abs=0.01)
+
+
+def test_a_step_sees_half_as_many_windows_of_shown_footage_as_of_others(
+    lessons: Examples, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shown = Examples(np.ones_like(lessons.inputs[:2]), lessons.truth[:2], lessons.ruled[:2])
+    seen: list[list[bool]] = []
+
+    def kept(inputs: Tensor, truth: Tensor, random: Generator) -> tuple[Tensor, Tensor]:
+        seen.append([bool((each == 1.0).all()) for each in inputs])
+        return inputs, truth
+
+    monkeypatch.setattr(training, "augmented", kept)
+    next(train(lessons, seed=1, steps=2, batch=4, report_every=2, shown=shown))
+    assert seen == [[False] * 4 + [True] * 2] * 2
+
+
 def test_training_lowers_the_loss_and_beats_the_rules_on_an_unseen_scene(
     lessons: Examples, unseen: Examples
 ) -> None:
     losses, nets = zip(*train(lessons, seed=1, steps=120, batch=8, report_every=40), strict=True)
-    assert losses[-1] < 0.6 * losses[0]
+    assert losses[-1] < 0.7 * losses[0]
     scores = held_out_scores(nets[-1], unseen)
     assert scores.windows == len(unseen)
     assert scores.j > scores.j_ruled + 0.03

@@ -51,6 +51,17 @@ def with_followed(picture: np.ndarray, frame: int) -> np.ndarray:
     return np.rint(picture * (1 - patch) + 240.0 * patch).astype(np.uint8)
 
 
+def with_saturated(picture: np.ndarray, frame: int) -> np.ndarray:
+    """A target as with_followed, so hot that all of it but its rim is white, and larger."""
+    x, y = np.random.default_rng(frame + 100).normal(0.0, 0.4, 2)
+    body = np.zeros(SHAPE, np.float32)
+    for centre, axes in (((80, 60), (30, 12)), ((105, 52), (16, 3)), ((60, 50), (3, 14))):
+        cv2.ellipse(body, centre, axes, 10.0, 0.0, 360.0, 1.0, -1)
+    body = cv2.GaussianBlur(body, (0, 0), 1.5)
+    body = cv2.warpAffine(body, np.array([[1.0, 0.0, x], [0.0, 1.0, y]]), SHAPE[::-1])
+    return np.clip(np.rint(picture * (1 - body) + 500.0 * body), 0, 255).astype(np.uint8)
+
+
 def after(pictures: dict[int, np.ndarray], centres: range, pan: float) -> np.ndarray:
     memory = OverlayMemory()
     for centre in centres:
@@ -105,8 +116,11 @@ def test_text_is_found_when_a_camera_that_stood_still_moves_at_last() -> None:
     assert still[cells(with_text(np.zeros(SHAPE, np.uint8)) > 0)].mean() > 0.8
 
 
-def test_what_the_camera_follows_is_no_overlay() -> None:
-    still = after(frames(40, 1.5, with_followed), range(4, 36, 4), 1.5)
+@pytest.mark.parametrize("draw", [with_followed, with_saturated])
+def test_what_the_camera_follows_is_no_overlay(
+    draw: Callable[[np.ndarray, int], np.ndarray],
+) -> None:
+    still = after(frames(40, 1.5, draw), range(4, 36, 4), 1.5)
     assert still.mean() < 0.01
 
 

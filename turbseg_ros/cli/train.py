@@ -29,8 +29,9 @@ from turbseg_ros.cli.errors import (
 from turbseg_ros.cli.options import with_progress
 from turbseg_ros.cli.outputs import check_folder, check_new
 from turbseg_ros.cli.parsers.train import build_parser
-from turbseg_ros.learning.composites import Material, composite_clip, shown_clip
+from turbseg_ros.learning.composites import Material, composite_clip
 from turbseg_ros.learning.examples import Examples, examples_from, rendered_clip
+from turbseg_ros.learning.shown_clips import shown_clip, varied_clip
 from turbseg_ros.learning.torch_import import require_torch
 from turbseg_ros.parameters import Parameters
 from turbseg_ros.worker_pool import WorkerPool
@@ -42,25 +43,28 @@ if TYPE_CHECKING:
 # Every so many drawn scenes, one is held out from training.
 _HELD_OUT = 10
 _REPORTS = 20
-# Windows of held-out footage are taken from every so many frames.
-_HELD_OUT_STEP = 4
+# Windows of held-out footage, and of clips that show footage, are taken from every so many frames.
+_HELD_OUT_STEP, _SHOWN_STEP = 4, 2
+_BY_RULES = Parameters().replace({"refine.mode": "none"})
 
 
 @dataclass(frozen=True)
 class Lessons:
     """Windows to train on, and those that show how training goes.
 
-    `held_out` are of drawn scenes, `footage` of what --held-out names.
+    `shown` are of clips that show footage, to train on as well; `held_out` are of drawn scenes,
+    `footage` of what --held-out names.
     """
 
     trained_on: Examples
+    shown: Examples
     held_out: Examples
     footage: Examples
 
 
 @dataclass(frozen=True)
 class _Task:
-    """A clip to be made: its kind ("scene", "composite", "footage"), and which."""
+    """A clip to be made: its kind ("scene", "composite", "shown", "footage"), and which."""
 
     kind: str
     number: int
@@ -73,13 +77,17 @@ class _Task:
 
 @dataclass(frozen=True)
 class _Workshop:
-    """What the making of clips needs; it can be sent to another process."""
+    """What the making of clips needs; it can be sent to another process.
+
+    `network` draws the outlines in clips that show footage; by rules if None.
+    """
 
     frames: int
     every: int
     material: Material
     held_out: Material
     windows: Path | None
+    network: Path | None
 
     def windows_of(self, task: _Task) -> Examples:
         """Return a clip's windows: those of an earlier run, or else of the clip made now.
@@ -97,17 +105,27 @@ class _Workshop:
 
     def _made(self, task: _Task) -> Examples:
         cv2.setNumThreads(1)
-        parameters = Parameters()
         if task.kind == "footage":
             footage = self.held_out.objects[task.number]
-            return examples_from(shown_clip(footage), parameters, _HELD_OUT_STEP)
+            return examples_from(shown_clip(footage), _BY_RULES, _HELD_OUT_STEP)
+        if task.kind == "shown":
+            return self._shown(task.number)
         if task.kind == "composite":
             clip = composite_clip(task.number, self.frames, self.material)
-            return examples_from(clip, parameters, self.every, ruled=False)
+            return examples_from(clip, _BY_RULES, self.every, ruled=False)
         scene = rendered_clip(task.number, self.frames)
         if task.held_out:
-            return examples_from(scene, parameters)
-        return examples_from(scene, parameters, self.every, ruled=False)
+            return examples_from(scene, _BY_RULES)
+        return examples_from(scene, _BY_RULES, self.every, ruled=False)
+
+    def _shown(self, number: int) -> Examples:
+        """Return the windows of a footage as it is, or in the rounds after the first as varied."""
+        objects, parameters = self.material.objects, _BY_RULES
+        if self.network is not None:
+            parameters = Parameters().replace({"refine.weights": str(self.network)})
+        footage = objects[number % len(objects)]
+        clip = shown_clip(footage, 854) if number < len(objects) else varied_clip(number, footage)
+        return examples_from(clip, parameters, _SHOWN_STEP, ruled=False)
 
 
 @executable("turbseg_train")
@@ -145,19 +163,22 @@ def gathered(options: argparse.Namespace, scratch: Path, stop: StopRequest) -> L
     :raises Interrupted: when it is stopped: what would come of a part is another training.
     :raises UsageError: when a folder doesn't hold what it should, or nothing moved.
     """
-    workshop = _workshop(options)
+    workshop = _workshop(options, scratch)
     scenes = range(options.first_scene, options.first_scene + options.scenes)
     drawn = [_Task("scene", each, place % _HELD_OUT == 0) for place, each in enumerate(scenes)]
     first = options.first_composite
     has_footage = workshop.material.backgrounds or workshop.material.objects
     composites = range(first, first + options.composites if has_footage else first)
     tasks = [*drawn, *(_Task("composite", each, False) for each in composites)]
+    rounds = options.shown * len(workshop.material.objects)
+    shown = [_Task("shown", each, False) for each in range(rounds)]
     held_out = [task for task in tasks if task.held_out]
     footage = [_Task("footage", each, True) for each in range(len(workshop.held_out.objects))]
     with WorkerPool(options.workers) as pool:
         take = functools.partial(_windows, pool, workshop, stop)
         parts: dict[str, Iterable[Examples]] = {
             "trained_on": take([task for task in tasks if not task.held_out], "making clips"),
+            "shown": take(shown, "showing footage"),
             "held_out": take(held_out, "clips held out"),
             "footage": take(footage, "footage held out"),
         }
@@ -167,10 +188,16 @@ def gathered(options: argparse.Namespace, scratch: Path, stop: StopRequest) -> L
     return lessons
 
 
-def _workshop(options: argparse.Namespace) -> _Workshop:
+def _workshop(options: argparse.Namespace, scratch: Path) -> _Workshop:
+    from turbseg_ros.learning.export import read_weights, write_onnx
+
     material = Material(backgrounds_in(options.backgrounds), objects_in(options.objects))
     held_out = Material([], objects_in(options.held_out))
-    return _Workshop(options.frames, options.every, material, held_out, options.windows)
+    network = None
+    if options.start is not None:
+        network = scratch / "start.onnx"
+        write_onnx(read_weights(options.start), network)
+    return _Workshop(options.frames, options.every, material, held_out, options.windows, network)
 
 
 def _stored(parts: Iterable[Examples], folder: Path) -> Examples:
@@ -207,7 +234,12 @@ def _train(
     curve: list[dict[str, float]] = []
     start = read_weights(options.start) if options.start else None
     reports = train(
-        lessons.trained_on, options.seed, options.steps, report_every=every, start=start
+        lessons.trained_on,
+        options.seed,
+        options.steps,
+        report_every=every,
+        start=start,
+        shown=lessons.shown,
     )
     for number, (loss, net) in enumerate(reports, start=1):
         scores = _scores(net, lessons)
@@ -227,6 +259,7 @@ def _train(
     write_weights(net, folder / "refine_net.safetensors")
     return {
         "windows": len(lessons.trained_on),
+        "windows_of_shown_footage": len(lessons.shown),
         **{name: dataclasses.asdict(each) for name, each in scores.items()},
         "curve": curve,
         **partial,
@@ -256,6 +289,8 @@ def _command(options: argparse.Namespace) -> str:
         names += ["keep"]
     if options.backgrounds or options.objects:
         names += ["first_composite", "composites"]
+    if options.shown:
+        names += ["shown"]
     said = ["turbseg_train"]
     for name in names:
         said += [_option(name), str(getattr(options, name))]

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from turbseg_ros.arrays import Image, Labels, Matrix
-from turbseg_ros.learning.random_scenes import random_camera, random_object
+from turbseg_ros.learning.random_scenes import log_uniform, random_camera, random_object
 from turbseg_ros.segmentation.frame import Frame
 from turbseg_ros.simulation.camera import Sensor
 from turbseg_ros.simulation.companions import Plume, Sun, random_plume, random_sun
@@ -44,7 +44,6 @@ _CALM = 0.15
 _SUNNY, _DUSTY = 0.6, 0.2
 _THERMAL = 0.25
 _RATE_HZ = 30.0
-_WIDEST = 640
 # Pixels composed beyond the frame, which the tilt draws in.
 _MARGIN = 16
 # Footage must have so many frames to be shown as it is.
@@ -100,7 +99,7 @@ def composite_clip(seed: int, frames: int, material: Material) -> Iterator[tuple
     shape = _SHAPES[int(rng.choice(len(_SHAPES), p=_SHAPE_ODDS))]
     stage = _Stage(shape, frames, material, rng)
     width = shape[1]
-    tilt_px = 0.02 if rng.random() < _CALM else _log_uniform(rng, *_TILTS)
+    tilt_px = 0.02 if rng.random() < _CALM else log_uniform(rng, *_TILTS)
     turbulence = Turbulence.typical(tilt_px * width / 432, width)
     tilts, blurs = TiltField(shape, turbulence, rng), BlurField(shape, turbulence, rng)
     sensor = _random_sensor(rng, stage.thermal)
@@ -119,19 +118,6 @@ def composite_clip(seed: int, frames: int, material: Material) -> Iterator[tuple
         for identity, coverage in enumerate(composite.coverages, start=1):
             labels[warp(coverage, tilt, _MARGIN, cv2.INTER_LINEAR) > 0.5] = identity
         yield Frame(FIRST_STAMP_NS + round(number * 1e9 / _RATE_HZ), image), labels
-
-
-def shown_clip(footage: Footage) -> Iterator[tuple[Frame, Labels]]:
-    """Return a footage as it is, with what its masks tell, no wider than 640 pixels."""
-    masks = footage.masks(0, footage.length) or []
-    for number, mask in enumerate(masks):
-        (picture,) = footage.pictures(number, 1)
-        scale = min(_WIDEST / picture.shape[1], 1.0)
-        size = (round(picture.shape[1] * scale), round(picture.shape[0] * scale))
-        image = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
-        covered = cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA)
-        stamp = FIRST_STAMP_NS + round(number * 1e9 / _RATE_HZ)
-        yield Frame(stamp, image), (covered > 0.5).astype(np.uint16)
 
 
 class _Stage:
@@ -361,7 +347,7 @@ def _random_cutout(
     """Cut something out of a footage; None where its frames show nothing to cut out."""
     wanted = min(frames, footage.length)
     first = int(rng.integers(0, footage.length - wanted + 1))
-    size = min(_log_uniform(rng, *_SIZES), 0.6 * shape[0])
+    size = min(log_uniform(rng, *_SIZES), 0.6 * shape[0])
     brightness, tints = rng.uniform(0.5, 1.5), rng.normal(1.0, 0.1, 3)
     sunk = float(rng.uniform(0.1, 0.5)) if rng.random() < 0.15 else 0.0
     look = CutoutLook(
@@ -380,7 +366,7 @@ def _random_cutout(
 
 
 def _random_path(rng: np.random.Generator, width: int, height: int, frames: int) -> Path:
-    speed = _log_uniform(rng, *_SPEEDS) * width
+    speed = log_uniform(rng, *_SPEEDS) * width
     angle = rng.normal(0.0, 0.4) + math.pi * rng.integers(0, 2)
     middle = np.array([rng.uniform(0.1, 0.9) * width, rng.uniform(0.2, 0.95) * height])
     way = speed * frames * np.array([math.cos(angle), math.sin(angle)])
@@ -390,7 +376,7 @@ def _random_path(rng: np.random.Generator, width: int, height: int, frames: int)
 
 
 def _random_sensor(rng: np.random.Generator, thermal: bool) -> Sensor:
-    full_well = _log_uniform(rng, 2_000, 300_000)
+    full_well = log_uniform(rng, 2_000, 300_000)
     encoding = str(rng.choice(["mono8", "mono16"] if thermal else ["bgr8", "bgr8", "mono8"]))
     return Sensor(
         encoding,
@@ -414,7 +400,3 @@ def _coverage(placed: PlacedSprite, shape: tuple[int, ...]) -> Field:
         region, layer = inside
         coverage[region] = layer.coverage
     return coverage
-
-
-def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
-    return float(math.exp(rng.uniform(math.log(low), math.log(high))))

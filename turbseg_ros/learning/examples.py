@@ -107,16 +107,17 @@ def examples_from(
     step: int = STEP,
     ruled: bool = True,
 ) -> Examples:
-    """Run the method by its rules over a clip and keep its windows.
+    """Run the method over a clip and keep its windows.
 
     :param clip: frames with their labels, no wider than `resolution.detail`.
+    :param parameters: those of the method; by `refine.mode` it draws its outlines by rules or by
+        a network, which decides what it takes for background later.
     :param step: windows of every so many frames are kept.
     :param ruled: whether it is kept what the rules make of them, which takes its time.
     """
     truth: dict[int, Labels] = {}
     observer = _WindowKeeper(truth, parameters.outline.threshold if ruled else None)
-    by_rules = parameters.replace({"refine.mode": "none"})
-    with motion_segmenter(by_rules, observer) as segmenter:
+    with motion_segmenter(parameters, observer) as segmenter:
         for number, (frame, labels) in enumerate(clip):
             if number % step == 0:
                 truth[frame.stamp] = labels

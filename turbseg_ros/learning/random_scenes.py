@@ -38,7 +38,7 @@ def random_scene(rng: np.random.Generator, frames: int) -> Scene:
         name="random",
         summary="drawn at random",
         landscape="collage" if rng.random() < _COLLAGE else str(rng.choice(list(PAINTERS))),
-        turbulence=Turbulence.typical(_log_uniform(rng, *_TILTS) * width / 432, width),
+        turbulence=Turbulence.typical(log_uniform(rng, *_TILTS) * width / 432, width),
         objects=tuple(
             random_object(rng, number, width, height, frames) for number in range(1, count + 1)
         ),
@@ -56,11 +56,11 @@ def random_object(
 ) -> SceneObject:
     """Draw an object of any kind, and its way through a picture of a size within some frames."""
     kind = "patchwork" if rng.random() < _PATCHWORK else str(rng.choice(list(KINDS)))
-    size = _log_uniform(rng, *_SIZES) * width
+    size = log_uniform(rng, *_SIZES) * width
     if kind == "person":
         size = min(size, _MAX_PERSON * width)
     level = bool(KINDS[kind].footprint)
-    speed = _log_uniform(rng, *_SPEEDS) * width
+    speed = log_uniform(rng, *_SPEEDS) * width
     angle = rng.normal(0.0, 0.05 if level else 0.5) + math.pi * rng.integers(0, 2)
     middle = np.array([rng.uniform(0.1, 0.9) * width, rng.uniform(0.2, 0.95) * height])
     way = speed * frames * np.array([math.cos(angle), math.sin(angle)])
@@ -85,7 +85,7 @@ def random_camera(rng: np.random.Generator, width: int) -> CameraMotion:
     scale = width / 864
     motion = rng.choice(["still", "shaking", "panning", "vibrating"], p=[0.4, 0.3, 0.2, 0.1])
     if motion == "shaking":
-        return CameraMotion(shake=_log_uniform(rng, 0.3, 6.0) * scale, roll=rng.uniform(0, 0.003))
+        return CameraMotion(shake=log_uniform(rng, 0.3, 6.0) * scale, roll=rng.uniform(0, 0.003))
     if motion == "panning":
         pan = float(rng.uniform(-3, 3) * scale), float(rng.uniform(-0.5, 0.5) * scale)
         return CameraMotion(pan=pan, shake=0.5 * scale)
@@ -95,7 +95,7 @@ def random_camera(rng: np.random.Generator, width: int) -> CameraMotion:
 
 
 def _random_sensor(rng: np.random.Generator, thermal: bool) -> Sensor:
-    full_well = _log_uniform(rng, 3_000, 300_000)
+    full_well = log_uniform(rng, 3_000, 300_000)
     encoding = "mono16" if thermal else str(rng.choice(["bgr8", "mono8"]))
     return Sensor(
         encoding,
@@ -106,5 +106,6 @@ def _random_sensor(rng: np.random.Generator, thermal: bool) -> Sensor:
     )
 
 
-def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+    """Draw a number whose logarithm is as likely to be anywhere between those of two others."""
     return float(math.exp(rng.uniform(math.log(low), math.log(high))))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,12 +24,19 @@ _WEIGHT_DECAY = 1e-3
 # Pixels that both halves of a Dice coefficient are smoothed by: an empty window counts little.
 _SMOOTHING = 40.0
 
+# Cross-entropy of a window without any object, as that of another with the same: what is invented
+# is followed, and becomes an object.
+_INVENTED = 2.0
+
 # Share of the steps that see windows so.
 _UPSIDE_DOWN, _ON_ITS_SIDE = 0.15, 0.15
 
 _MOVING, _CORE = CHANNELS.index("moving"), CHANNELS.index("core")
 _GREY, _CHANGE = CHANNELS.index("grey"), CHANNELS.index("change")
-_BACKGROUND = [CHANNELS.index(name) for name in ("change", "deviation", "difference", "known")]
+_BACKGROUND = [
+    CHANNELS.index(name)
+    for name in ("change", "deviation", "difference", "known", "light", "colour")
+]
 _DEVIATION = CHANNELS.index("deviation")
 _MOTION = [CHANNELS.index(name) for name in ("motion", "share")]
 _SIZE = [CHANNELS.index(name) for name in ("width", "height")]
@@ -38,10 +45,14 @@ _SIZE = [CHANNELS.index(name) for name in ("width", "height")]
 def loss_of(logits: Tensor, truth: Tensor) -> Tensor:
     """Return cross-entropy plus one minus the Dice coefficient, averaged over windows.
 
+    The cross-entropy of a window without an object counts more.
+
     :param logits: Nx1xHxW.
     :param truth: Nx1xHxW, from 0 to 1.
     """
-    entropy = functional.binary_cross_entropy_with_logits(logits, truth)
+    each = functional.binary_cross_entropy_with_logits(logits, truth, reduction="none")
+    is_empty = (truth.amax(dim=(1, 2, 3)) <= 0.5).float()
+    entropy = (each.mean(dim=(1, 2, 3)) * (1.0 + (_INVENTED - 1.0) * is_empty)).mean()
     probability = torch.sigmoid(logits)
     common = (probability * truth).sum(dim=(1, 2, 3))
     total = (probability + truth).sum(dim=(1, 2, 3))
@@ -193,12 +204,15 @@ def train(
     batch: int = 16,
     report_every: int = 50,
     start: RefineNet | None = None,
+    shown: Examples | None = None,
 ) -> Iterator[tuple[float, RefineNet]]:
     """Train a network; every so many steps give the mean loss and how it stands.
 
     The same seed on the same machine gives the same network.
 
     :param start: the network to go on with, which is changed; from nothing otherwise.
+    :param shown: more examples, of which each step sees half as many as of the others, however
+        many there are of each.
     """
     torch.manual_seed(seed)
     random = torch.Generator().manual_seed(seed)
@@ -208,12 +222,13 @@ def train(
     net.to(memory_format=torch.channels_last)
     optimiser = torch.optim.AdamW(net.parameters(), lr=peak, weight_decay=_WEIGHT_DECAY)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, peak, total_steps=steps)
-    inputs, truth = torch.from_numpy(examples.inputs), torch.from_numpy(examples.truth)
+    kinds = [(examples, batch)]
+    if shown is not None and len(shown):
+        kinds += [(shown, batch // 2)]
     losses = []
     for step in range(1, steps + 1):
         net.train()
-        picked = torch.randint(len(examples), (batch,), generator=random)
-        maps, right = augmented(inputs[picked].float(), truth[picked, None].float(), random)
+        maps, right = augmented(*_picked(kinds, random), random)
         loss = loss_of(net(maps.contiguous(memory_format=torch.channels_last)), right)
         optimiser.zero_grad()
         loss.backward()
@@ -223,3 +238,15 @@ def train(
         if step % report_every == 0 or step == steps:
             yield float(np.mean(losses)), net
             losses.clear()
+
+
+def _picked(
+    kinds: Sequence[tuple[Examples, int]], random: torch.Generator
+) -> tuple[Tensor, Tensor]:
+    """Return windows picked at random, so many of each kind, and their truth, Nx1xHxW."""
+    inputs, truth = [], []
+    for examples, count in kinds:
+        picked = torch.randint(len(examples), (count,), generator=random).numpy()
+        inputs.append(torch.from_numpy(examples.inputs[picked]).float())
+        truth.append(torch.from_numpy(examples.truth[picked, None]).float())
+    return torch.cat(inputs), torch.cat(truth)

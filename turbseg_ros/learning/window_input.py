@@ -6,14 +6,20 @@ motion in units of its noise, so that nothing depends on the camera.
 
 from __future__ import annotations
 
+import math
 from typing import Any, TypeVar
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from turbseg_ros.arrays import Map
-from turbseg_ros.segmentation.background import background_in, deviation_from, difference_from
+from turbseg_ros.arrays import ByteImage, Map, Mask
+from turbseg_ros.segmentation.background import (
+    background_in,
+    deviation_from,
+    difference_from,
+    largest,
+)
 from turbseg_ros.segmentation.foreground import ObjectCrop, guided_filter
 
 _Value = TypeVar("_Value", np.uint8, np.float32)
@@ -26,6 +32,9 @@ CHANNELS = (
     "deviation",
     "difference",
     "known",
+    "light",
+    "colour",
+    "likeness",
     "motion",
     "share",
     "moving",
@@ -44,6 +53,13 @@ _MIN_CONTRAST = 6.0
 # Where deviation and motion, in units of their noise, come to half of their range.
 _HALF_DEVIATION = 3.0
 _HALF_MOTION = 5.0
+# Of light and of colour, likewise; grey values that darkness is lifted by first: it is all noise.
+_HALF_LIGHT, _HALF_COLOUR, _DARKNESS = 1.0, 0.05, 8.0
+# Levels that values are sorted into, of one channel, of each of three, in so many standard
+# deviations; and how often each was seen before it is counted.
+_LEVELS, _SPREADS, _UNSEEN = {1: 32, 3: 8}, 4.0, 0.5
+# A colour that is seen so many times more often in one part is clearly its own.
+_CLEARLY = 30.0
 # What is usual on an object is what this percentage of its pixels doesn't exceed.
 _USUAL = 85
 
@@ -73,6 +89,9 @@ def window_input(window: ObjectCrop) -> Map:
         deviation / (deviation + _HALF_DEVIATION) * known,
         _within(difference / _usual(difference, inside & background.known, 1.0), 1.5),
         known,
+        light_ratio(grey, _grey(background.median)) * known,
+        colour_change(image, background.median) * known,
+        likeness(image, core > 0.5, ~inside),
         motion / (motion + _HALF_MOTION),
         _within(motion / _usual(motion, inside, 0.1), 1.5),
         moving,
@@ -83,6 +102,62 @@ def window_input(window: ObjectCrop) -> Map:
         cv2.resize(values, (SIDE, SIDE), dst=channel)
     seen[-2], seen[-1] = np.log2(width / SIDE) / 3.0, np.log2(height / SIDE) / 3.0
     return seen
+
+
+def light_ratio(grey: Map, background: Map) -> Map:
+    """Return how much brighter than the background each pixel is, in octaves, -1 to 1, hxw.
+
+    A shadow takes away the same share of the light wherever it falls, whatever it falls on.
+    """
+    ratio: Map = np.log2((grey + np.float32(_DARKNESS)) / (background + np.float32(_DARKNESS)))
+    return _within(ratio / np.float32(_HALF_LIGHT), 1.0)
+
+
+def colour_change(image: ByteImage, background: Map) -> Map:
+    """Return how much the shares of a pixel's channels differ from the background's, 0 to 1, hxw.
+
+    Shadows hardly change them (Prati et al. 2003). It is 0 where there is one channel only.
+
+    :param image: hxwxC; `background` is as large.
+    """
+    if image.shape[2] == 1:
+        return np.zeros(image.shape[:2], np.float32)
+    change = largest(np.abs(_shares(image) - _shares(background)))
+    return change / (change + np.float32(_HALF_COLOUR))
+
+
+def likeness(image: ByteImage, own: Mask, other: Mask) -> Map:
+    """Return how much rather a pixel's colour is seen in one part than in another, -1 to 1, hxw.
+
+    That is the logarithm of the ratio of the two histograms, as in GrabCut (Rother et al. 2004);
+    0 where one of the parts is empty.
+
+    :param image: hxwxC, one or three channels.
+    :param own: hxw, of the object; `other`, of its surroundings.
+    """
+    if not (own.any() and other.any()):
+        return np.zeros(image.shape[:2], np.float32)
+    channels = image.shape[2]
+    levels = _LEVELS[channels]
+    colours = np.zeros(image.shape[:2], np.intp)
+    for values in cv2.split(image):
+        mean, spread = (float(each[0, 0]) for each in cv2.meanStdDev(values))
+        scale = levels / (_SPREADS * max(spread, 1.0))
+        place = values * np.float32(scale) + np.float32(levels / 2 - mean * scale)
+        colours = colours * levels + np.clip(place, 0, levels - 1).astype(np.intp)
+    count = levels**channels
+    logarithms = [
+        np.log((np.bincount(colours[part], minlength=count) + _UNSEEN) / np.count_nonzero(part))
+        for part in (own, other)
+    ]
+    ratio = (logarithms[0] - logarithms[1]) / math.log(_CLEARLY)
+    return np.clip(ratio, -1.0, 1.0).astype(np.float32)[colours]
+
+
+def _shares(picture: npt.NDArray[Any]) -> Map:
+    values = picture.astype(np.float32) + np.float32(_DARKNESS)
+    shares: Map = values / sum(cv2.split(values))[..., None]
+    return shares
 
 
 def at_window_size(probability: Map, window: ObjectCrop) -> Map:

@@ -2,7 +2,7 @@
 
 Between two frames that the camera's motion sets apart, the scene fits once it is aligned, and what
 is burnt in fits as it is. A target that the camera follows stands nearly still as well, but never
-to the grey value: it jitters, turns and is seen through air.
+to the grey value all along its edges: it jitters, turns and is seen through air.
 """
 
 from __future__ import annotations
@@ -30,6 +30,9 @@ _CONVINCED, _FOR, _AGAINST = 3.0, 15.0, -3.0
 _EDGES, _PLAIN = 0.12, 0.5
 # Share of the cells of a plain patch that must be edges, for the patch to go with them.
 _BORDERED = 0.15
+# Share of the pixels at edges in and around a patch that must stand still of those that tell: a
+# plain, saturated part of a target that the camera follows has but a few that happen to.
+_EXACT = 0.1
 # Share of a bar's cells that are plain, and of its length along which its edge must stand still.
 _WHOLE, _ALONG = 0.95, 0.5
 
@@ -80,8 +83,9 @@ class OverlayMemory:
         for votes in self._votes:
             np.clip(votes, _AGAINST, _FOR, out=votes)
         edges, all_over = at_edges >= _CONVINCED, anywhere >= _CONVINCED
+        still = _exact(_still(edges, all_over), edges, (edge >= _EDGE) & (at_edges <= 0.0))
         # A straight edge from one side of the picture to the other needs fewer comparisons.
-        self._still = _still(edges, all_over) | _bars(at_edges >= 1.0, edge >= _EDGE)
+        self._still = still | _bars(at_edges >= 1.0, edge >= _EDGE)
         return self._still
 
 
@@ -105,6 +109,24 @@ def _still(edges: Mask, anywhere: Mask) -> Mask:
     kept = at_edges > _BORDERED * sizes
     kept[0] = False
     result: Mask = still | kept[patches]
+    return result
+
+
+def _exact(still: Mask, edges: Mask, against: Mask) -> Mask:
+    """Return the patches of cells, hxw, that a fair part of the edges in and around them are for.
+
+    :param edges: HxW, pixels at edges that stand still; `against`, those that don't.
+    """
+    if not still.any():
+        return still
+    patches = cv2.dilate(still.view(np.uint8), np.ones((3, 3), np.uint8))
+    count, patches = cv2.connectedComponents(patches)
+    votes_for, votes_against = (
+        np.bincount(patches.ravel(), _in_cells(votes, still.shape).ravel(), count)
+        for votes in (edges, against)
+    )
+    kept = votes_for >= _EXACT * (votes_for + votes_against)
+    result: Mask = still & kept[patches]
     return result
 
 

@@ -118,6 +118,15 @@ def _add_footage(parser: argparse.ArgumentParser) -> None:
         "--first-composite", type=int, default=0, metavar="N", help="seed (%(default)s)"
     )
     group.add_argument(
+        "--shown",
+        type=_count,
+        default=0,
+        metavar="N",
+        help="times that each of --objects is shown whole as well (%(default)s): first as it is, "
+        "then smaller, in part, backwards, grey, through air, with noise; --start's network "
+        "draws outlines in it",
+    )
+    group.add_argument(
         "--windows",
         type=Path,
         metavar="DIR",
