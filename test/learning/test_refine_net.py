@@ -122,8 +122,8 @@ def test_a_step_sees_half_as_many_windows_of_shown_footage_as_of_others(
 def test_training_lowers_the_loss_and_beats_the_rules_on_an_unseen_scene(
     lessons: Examples, unseen: Examples
 ) -> None:
-    losses, nets = zip(*train(lessons, seed=1, steps=120, batch=8, report_every=40), strict=True)
-    assert losses[-1] < 0.7 * losses[0]
+    losses, nets = zip(*train(lessons, seed=1, steps=160, batch=8, report_every=40), strict=True)
+    assert losses[-1] < 0.6 * losses[0]
     scores = held_out_scores(nets[-1], unseen)
     assert scores.windows == len(unseen)
     assert scores.j > scores.j_ruled + 0.03

@@ -31,7 +31,7 @@ from turbseg_ros.cli.outputs import check_folder, check_new
 from turbseg_ros.cli.parsers.train import build_parser
 from turbseg_ros.learning.composites import Material, composite_clip
 from turbseg_ros.learning.examples import Examples, examples_from, rendered_clip
-from turbseg_ros.learning.shown_clips import shown_clip, varied_clip
+from turbseg_ros.learning.shown_clips import WIDEST, shown_clip, varied_clip
 from turbseg_ros.learning.torch_import import require_torch
 from turbseg_ros.parameters import Parameters
 from turbseg_ros.worker_pool import WorkerPool
@@ -124,7 +124,9 @@ class _Workshop:
         if self.network is not None:
             parameters = Parameters().replace({"refine.weights": str(self.network)})
         footage = objects[number % len(objects)]
-        clip = shown_clip(footage, 854) if number < len(objects) else varied_clip(number, footage)
+        clip = (
+            shown_clip(footage, WIDEST) if number < len(objects) else varied_clip(number, footage)
+        )
         return examples_from(clip, parameters, _SHOWN_STEP, ruled=False)
 
 
@@ -194,7 +196,7 @@ def _workshop(options: argparse.Namespace, scratch: Path) -> _Workshop:
     material = Material(backgrounds_in(options.backgrounds), objects_in(options.objects))
     held_out = Material([], objects_in(options.held_out))
     network = None
-    if options.start is not None:
+    if options.shown and options.start is not None:
         network = scratch / "start.onnx"
         write_onnx(read_weights(options.start), network)
     return _Workshop(options.frames, options.every, material, held_out, options.windows, network)

@@ -20,11 +20,14 @@ from turbseg_ros.simulation.render import FIRST_STAMP_NS
 from turbseg_ros.simulation.transmission import Receiver, random_transmission
 from turbseg_ros.simulation.turbulence import BlurField, Field, TiltField, Turbulence, blur, warp
 
+WIDEST = 854
+"""Columns of a clip to train on at most."""
+
 _RATE_HZ = 30.0
 # Frames that are read at once.
 _AT_ONCE = 32
-# Frames of a varied clip at most, and its columns.
-_MOST_FRAMES, _WIDEST = 96, 854
+# Frames of a varied clip at most.
+_MOST_FRAMES = 96
 # Shares of the clips that show all of a frame, that run backwards, are grey and, of these, have
 # bright for dark; that are seen through calm air, without noise, in full contrast, and as sent.
 _WHOLE, _BACKWARDS, _GREY, _INVERTED = 0.4, 0.4, 0.45, 0.3
@@ -73,7 +76,7 @@ def shown_clip(footage: Footage, widest: int = 640) -> Iterator[tuple[Frame, Lab
 def varied_clip(seed: int, footage: Footage) -> Iterator[tuple[Frame, Labels]]:
     """Return a footage as a camera drawn at random might have shown it, with what moves.
 
-    Frames are HxW or HxWx3, uint8, no wider than 854 pixels, 96 at most; the same for the same
+    Frames are HxW or HxWx3, uint8, no wider than `WIDEST`, 96 at most; the same for the same
     seed and footage.
     """
     rng = np.random.default_rng([_PURPOSE, seed])
@@ -97,10 +100,8 @@ class _Air:
     def __init__(
         self, shape: tuple[int, int], turbulence: Turbulence, rng: np.random.Generator
     ) -> None:
-        self._tilts, self._blurs = (
-            TiltField(shape, turbulence, rng),
-            BlurField(shape, turbulence, rng),
-        )
+        self._tilts = TiltField(shape, turbulence, rng)
+        self._blurs = BlurField(shape, turbulence, rng)
 
     def through(self, picture: Field, covered: Field) -> tuple[Field, Field]:
         """Return the next frame's picture, HxWx3, and what moves in it, HxW, as seen through."""
@@ -132,7 +133,7 @@ def _random_camera(source: tuple[int, int], rng: np.random.Generator) -> _Camera
 
 def _random_crop(source: tuple[int, int], rng: np.random.Generator) -> Crop:
     rows, columns = source
-    scale = min(log_uniform(rng, *_SCALES), _WIDEST / columns)
+    scale = min(log_uniform(rng, *_SCALES), WIDEST / columns)
     shape = round(rows * scale), round(columns * scale)
     if rng.random() < _WHOLE:
         return Crop(0, 0, columns, rows, shape, mirrored=False)

@@ -6,6 +6,7 @@ motion in units of its noise, so that nothing depends on the camera.
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Any, TypeVar
 
@@ -18,7 +19,6 @@ from turbseg_ros.segmentation.background import (
     background_in,
     deviation_from,
     difference_from,
-    largest,
 )
 from turbseg_ros.segmentation.foreground import ObjectCrop, guided_filter
 
@@ -53,8 +53,8 @@ _MIN_CONTRAST = 6.0
 # Where deviation and motion, in units of their noise, come to half of their range.
 _HALF_DEVIATION = 3.0
 _HALF_MOTION = 5.0
-# Of light and of colour, likewise; grey values that darkness is lifted by first: it is all noise.
-_HALF_LIGHT, _HALF_COLOUR, _DARKNESS = 1.0, 0.05, 8.0
+# Of the change of colour, likewise; grey values that darkness is lifted by first: it is all noise.
+_HALF_COLOUR, _DARKNESS = 0.05, 8.0
 # Levels that values are sorted into, of one channel, of each of three, in so many standard
 # deviations; and how often each was seen before it is counted.
 _LEVELS, _SPREADS, _UNSEEN = {1: 32, 3: 8}, 4.0, 0.5
@@ -78,7 +78,8 @@ def window_input(window: ObjectCrop) -> Map:
     grey = _grey(image)
     centred = grey - grey.mean()
     contrast = max(float(np.sqrt(np.mean(centred * centred))), _MIN_CONTRAST)
-    change = grey - _grey(background.median)
+    behind = _grey(background.median)
+    change = grey - behind
     deviation = deviation_from(background, image, window.tilt)
     difference = difference_from(background, image) * known
     inside = moving > 0.5
@@ -89,7 +90,7 @@ def window_input(window: ObjectCrop) -> Map:
         deviation / (deviation + _HALF_DEVIATION) * known,
         _within(difference / _usual(difference, inside & background.known, 1.0), 1.5),
         known,
-        light_ratio(grey, _grey(background.median)) * known,
+        light_ratio(grey, behind) * known,
         colour_change(image, background.median) * known,
         likeness(image, core > 0.5, ~inside),
         motion / (motion + _HALF_MOTION),
@@ -110,7 +111,7 @@ def light_ratio(grey: Map, background: Map) -> Map:
     A shadow takes away the same share of the light wherever it falls, whatever it falls on.
     """
     ratio: Map = np.log2((grey + np.float32(_DARKNESS)) / (background + np.float32(_DARKNESS)))
-    return _within(ratio / np.float32(_HALF_LIGHT), 1.0)
+    return _within(ratio, 1.0)
 
 
 def colour_change(image: ByteImage, background: Map) -> Map:
@@ -122,7 +123,8 @@ def colour_change(image: ByteImage, background: Map) -> Map:
     """
     if image.shape[2] == 1:
         return np.zeros(image.shape[:2], np.float32)
-    change = largest(np.abs(_shares(image) - _shares(background)))
+    shares = zip(_shares(image), _shares(background), strict=True)
+    change = functools.reduce(np.maximum, (np.abs(here - there) for here, there in shares))
     return change / (change + np.float32(_HALF_COLOUR))
 
 
@@ -139,12 +141,14 @@ def likeness(image: ByteImage, own: Mask, other: Mask) -> Map:
         return np.zeros(image.shape[:2], np.float32)
     channels = image.shape[2]
     levels = _LEVELS[channels]
-    colours = np.zeros(image.shape[:2], np.intp)
+    colours = np.zeros(image.shape[:2], np.uint16)
     for values in cv2.split(image):
         mean, spread = (float(each[0, 0]) for each in cv2.meanStdDev(values))
         scale = levels / (_SPREADS * max(spread, 1.0))
-        place = values * np.float32(scale) + np.float32(levels / 2 - mean * scale)
-        colours = colours * levels + np.clip(place, 0, levels - 1).astype(np.intp)
+        offset = levels / 2 - mean * scale
+        place = np.arange(256, dtype=np.float32) * np.float32(scale) + np.float32(offset)
+        level_of = np.clip(place, 0, levels - 1).astype(np.uint16)
+        colours = colours * np.uint16(levels) + cv2.LUT(values, level_of)
     count = levels**channels
     logarithms = [
         np.log((np.bincount(colours[part], minlength=count) + _UNSEEN) / np.count_nonzero(part))
@@ -154,10 +158,12 @@ def likeness(image: ByteImage, own: Mask, other: Mask) -> Map:
     return np.clip(ratio, -1.0, 1.0).astype(np.float32)[colours]
 
 
-def _shares(picture: npt.NDArray[Any]) -> Map:
-    values = picture.astype(np.float32) + np.float32(_DARKNESS)
-    shares: Map = values / sum(cv2.split(values))[..., None]
-    return shares
+def _shares(picture: npt.NDArray[Any]) -> list[Map]:
+    """Return the share that each channel has of a pixel's light, hxw each."""
+    # Channel by channel: NumPy is slow along a last axis that is short.
+    values = cv2.split(picture.astype(np.float32) + np.float32(_DARKNESS))
+    total = functools.reduce(np.add, values)
+    return [channel / total for channel in values]
 
 
 def at_window_size(probability: Map, window: ObjectCrop) -> Map:
