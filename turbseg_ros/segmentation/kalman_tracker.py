@@ -9,6 +9,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from turbseg_ros.arrays import ByteImage, Matrix, Point
+from turbseg_ros.segmentation.companions import Companions
 from turbseg_ros.segmentation.cropped_mask import EMPTY_MASK, CroppedMask
 from turbseg_ros.segmentation.geometry import transformed_point
 from turbseg_ros.segmentation.occlusion import AppearanceModel, DepthOrder, divided_among
@@ -124,6 +125,7 @@ class KalmanTracker:
         self._ended: list[Track] = []
         self._clutter_sites: list[_ClutterSite] = []
         self._depth_order: DepthOrder[Track] = DepthOrder()
+        self._companions = Companions()
         self._next_id = 1
 
     @property
@@ -150,6 +152,7 @@ class KalmanTracker:
         self._tracks, self._ended = [], []
         self._clutter_sites = []
         self._depth_order = DepthOrder()
+        self._companions = Companions()
 
     def expected_objects(self, ego_motion: Matrix, shape: tuple[int, int]) -> list[Detection]:
         """Return each object as it should be in the coming frame of some shape.
@@ -187,7 +190,7 @@ class KalmanTracker:
         self._propagate_places(ego_motion)
         hidden = self._hidden(detections)
         detections = [detection for detection in detections if not detection.hidden]
-        divided, detections = self._divided(detections, tilt, image)
+        divided, detections, shared = self._divided(detections, tilt, image)
         detections = self._reunited(detections, divided)
         observations = self._seen_beside_others(divided)
         matched = self._match(detections, tilt, [*divided, *hidden])
@@ -206,12 +209,13 @@ class KalmanTracker:
             if track.confirmed:
                 track.appearance = AppearanceModel.of(detection.outline, image, track.seen_at)
             observations.append(track.observed(track.detection))
-        seen = {id(observation.track) for observation in observations}
+        seen = {observation.track for observation in observations}
         for track in self._tracks:
-            track.misses = 0 if id(track) in seen else track.misses + 1
+            track.misses = 0 if track in seen else track.misses + 1
             track.remember_picture(image)
         for track in [track for track in self._tracks if track.confirmed and not track.id]:
             self._number(track, tilt)
+        self._companions.observe([track for track in self._tracks if track in seen], shared)
         self._drop_lost()
         return observations
 
@@ -256,10 +260,11 @@ class KalmanTracker:
 
     def _divided(
         self, detections: Sequence[Detection], tilt: float, image: ByteImage
-    ) -> tuple[dict[Track, list[Detection]], list[Detection]]:
+    ) -> tuple[dict[Track, list[Detection]], list[Detection], list[Collection[Track]]]:
         """Divide detections that hold several objects, say one that passes before another.
 
-        :return: each such object's parts, and the detections that hold one object at most.
+        :return: each such object's parts, the detections that hold one object at most, and the
+            objects of each of the others.
         """
         appearances = {
             track: track.appearance.at(track.position)
@@ -269,6 +274,7 @@ class KalmanTracker:
         }
         divided: dict[Track, list[Detection]] = {}
         whole = []
+        shared: list[Collection[Track]] = []
         for detection in detections:
             claiming = {
                 track: appearance
@@ -278,11 +284,12 @@ class KalmanTracker:
             if len(claiming) < 2 or detection.stands:
                 whole.append(detection)
                 continue
+            shared.append(claiming)
             parts = divided_among(detection.outline, claiming, image, tilt, self._depth_order)
             for track, part in parts.items():
                 seen = replace(detection, box=part.box, mask=part.mask, velocity=track.velocity)
                 divided.setdefault(track, []).append(seen)
-        return divided, whole
+        return divided, whole, shared
 
     def _reunited(
         self, detections: Sequence[Detection], divided: dict[Track, list[Detection]]
@@ -416,6 +423,7 @@ class KalmanTracker:
         )
 
     def _drop_lost(self) -> None:
+        parts = self._companions.parts()
         stuck = [track for track in self._tracks if track.gets_nowhere() and not track.stands]
         self._clutter_sites += [_ClutterSite(track.position, track.size) for track in stuck]
         lost = [
@@ -429,12 +437,16 @@ class KalmanTracker:
                 and not track.keeps_shape(SHAPE_SPAN, _MIN_SHAPE_IOU, known=SHAPE_SPAN)
             )
             or track.is_absorbed
+            or track in parts
         ]
         for track in lost:
             self._end(track)
-        self._ended += [track for track in lost if track.id and not track.is_absorbed]
+        self._ended += [
+            track for track in lost if track.id and not track.is_absorbed and track not in parts
+        ]
         self._tracks = [track for track in self._tracks if track not in lost]
         self._depth_order.keep(self._tracks)
+        self._companions.keep(self._tracks)
 
     def _end(self, track: Track) -> None:
         if track.slot >= 0:
