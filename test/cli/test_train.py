@@ -23,7 +23,7 @@ from turbseg_ros.cli.train import Lessons, main
 from turbseg_ros.learning import training
 from turbseg_ros.learning.examples import Examples
 from turbseg_ros.learning.export import write_weights
-from turbseg_ros.learning.refine_net import RefineNet
+from turbseg_ros.learning.refine_net import WIDTHS, RefineNet
 from turbseg_ros.learning.shown_clips import shown_clip
 from turbseg_ros.learning.training import HeldOut
 from turbseg_ros.learning.window_input import CHANNELS, SIDE
@@ -48,7 +48,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
         start: RefineNet | None,
         shown: Examples,
     ) -> Iterator[tuple[float, RefineNet]]:
-        net = RefineNet(len(CHANNELS))
+        net = RefineNet(len(CHANNELS), WIDTHS)
         for step in range(report_every, steps + 1, report_every):
             if step == 3 * report_every:
                 signal.raise_signal(signal.SIGTERM)
@@ -105,7 +105,7 @@ def test_a_share_of_the_start_is_kept(tmp_path: Path, capsys: pytest.CaptureFixt
     assert main([*ARGUMENTS, "-o", str(tmp_path / "weights"), "--keep", "0.5"]) == 2
     assert "--start" in capsys.readouterr().err
     start = tmp_path / "start.safetensors"
-    write_weights(RefineNet(len(CHANNELS)), start)
+    write_weights(RefineNet(len(CHANNELS), WIDTHS), start)
     command = [*ARGUMENTS, "-o", str(tmp_path / "weights"), "--start", str(start)]
     assert main([*command, "--keep", "0.75"]) == 128 + signal.SIGTERM
     assert "with a share of 0.75 kept" in capsys.readouterr().out

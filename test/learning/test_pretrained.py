@@ -128,10 +128,13 @@ def test_the_method_outlines_objects_with_it() -> None:
 def test_the_shipped_network_is_small_and_its_making_recorded() -> None:
     assert SHIPPED.stat().st_size < 3_000_000
     record = json.loads((SHIPPED.parent / "training.json").read_text())
-    assert record["command"].startswith("turbseg_train ")
     assert record["held_out"]["j"] > record["held_out"]["j_ruled"]
-    losses = [report["loss"] for report in record["curve"]]
-    assert losses[-1] < losses[0]
+    trainings = record["before"]
+    assert all(training.get("command", training.get("by")) for training in trainings)
+    made = {training["gives"] for training in trainings}
+    assert {name.removesuffix(", deepened") for name in record["blend"]["of"]} <= made
+    for curve in (training["curve"] for training in trainings if "curve" in training):
+        assert curve[-1]["loss"] < curve[0]["loss"]
 
 
 def test_files_that_are_no_such_network_are_refused_in_one_line(tmp_path: Path) -> None:

@@ -21,15 +21,15 @@ from turbseg_ros.segmentation.frame import Frame
 
 torch = pytest.importorskip("torch", reason="torch is not installed: make test-learning")
 
-from safetensors.torch import load_file  # noqa: E402
 from torch import Generator, Tensor  # noqa: E402
 
 from turbseg_ros.learning import training  # noqa: E402
-from turbseg_ros.learning.export import write_onnx  # noqa: E402
-from turbseg_ros.learning.refine_net import RefineNet  # noqa: E402
+from turbseg_ros.learning.export import read_weights, write_onnx, write_weights  # noqa: E402
+from turbseg_ros.learning.refine_net import WIDTHS, RefineNet, deepened  # noqa: E402
 from turbseg_ros.learning.training import (  # noqa: E402
     augmented,
     blended,
+    hazy,
     held_out_scores,
     loss_of,
     train,
@@ -85,6 +85,22 @@ def test_augmenting_moves_picture_and_truth_alike(lessons: Examples) -> None:
     for picture, right in zip(varied[:, share], moved[:, 0], strict=True):
         assert np.corrcoef(picture.ravel(), right.ravel())[0, 1] > 0.99
     assert not torch.equal(moved, truth)
+
+
+def test_haze_takes_contrast_away_and_leaves_noise() -> None:
+    random = torch.Generator().manual_seed(2)
+    grey, light, deviation, motion = (
+        CHANNELS.index(name) for name in ("grey", "light", "deviation", "motion")
+    )
+    clear = torch.zeros(2, len(CHANNELS), SIDE, SIDE)
+    clear[:, light], clear[:, deviation], clear[:, motion] = 0.8, 0.5, 0.7
+    seen = hazy(clear.clone(), torch.tensor([1.0, 0.25]), random)
+    torch.testing.assert_close(seen[0], clear[0])
+    assert float(seen[1, light].mean()) == pytest.approx(0.2)
+    # As many times the noise as make a half are a quarter of that: 1 / 4 of x in x / (x + 1).
+    assert float(seen[1, deviation].mean()) == pytest.approx(0.25 / 1.25)
+    assert float(seen[1, motion].mean()) == pytest.approx(0.7)
+    assert float(seen[1, grey].std()) == pytest.approx(0.09, rel=0.05)
 
 
 def test_the_loss_is_least_for_the_truth() -> None:
@@ -146,6 +162,23 @@ def test_a_blend_lies_between_two_networks() -> None:
     assert between is not other
 
 
+def test_a_level_more_changes_nothing_until_it_is_trained(tmp_path: Path) -> None:
+    torch.manual_seed(3)
+    net = RefineNet(len(CHANNELS), WIDTHS[:-1])
+    maps = torch.randn(16, len(CHANNELS), SIDE, SIDE)
+    with torch.no_grad():
+        net.train()(maps)  # its statistics are not those of the start
+        deeper = deepened(net, WIDTHS[-1], maps)
+        judged = net.eval()(maps)
+        torch.testing.assert_close(deeper.eval()(maps), judged, atol=1e-4, rtol=1e-3)
+    deeper.train()(maps).mean().backward()
+    assert float(deeper.join[-1][0].weight.grad[:, WIDTHS[-2] :].abs().max()) > 0.0
+    for each in (net, deeper):
+        write_weights(each, tmp_path / "weights.safetensors")
+        again = read_weights(tmp_path / "weights.safetensors")
+        assert again.widths == each.widths
+
+
 def test_opencv_gives_what_torch_gives(tmp_path: Path) -> None:
     torch.manual_seed(4)
     net = RefineNet(len(CHANNELS)).eval()
@@ -185,6 +218,6 @@ def test_the_command_writes_networks_that_run_and_a_record(
     assert record["curve"][-1]["step"] == 4
     assert "--seed 1" in record["command"]
     PretrainedRefiner(out / "refine_net.onnx")
-    RefineNet(len(CHANNELS)).load_state_dict(load_file(out / "refine_net.safetensors"))
+    assert read_weights(out / "refine_net.safetensors").widths == WIDTHS
     assert train_cli.main(command) == 2
     assert "exists already" in capsys.readouterr().err

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import cv2
+import numpy as np
 
 from turbseg_ros.bag.errors import BagError, ClipError
 from turbseg_ros.cli.bag_footage import backgrounds_in, objects_in
@@ -43,6 +44,8 @@ if TYPE_CHECKING:
 # Every so many drawn scenes, one is held out from training.
 _HELD_OUT = 10
 _REPORTS = 20
+# Windows that tell the mean and variance of what a network makes of them.
+_TYPICAL = 128
 # Windows of held-out footage, and of clips that show footage, are taken from every so many frames.
 _HELD_OUT_STEP, _SHOWN_STEP = 4, 2
 _BY_RULES = Parameters().replace({"refine.mode": "none"})
@@ -229,18 +232,17 @@ def _train(
     options: argparse.Namespace, lessons: Lessons, folder: Path, stop: StopRequest
 ) -> dict[str, Any]:
     """Train until stopped, show how it goes, and write the network; return the record of it."""
-    from turbseg_ros.learning.export import read_weights, write_onnx, write_weights
+    from turbseg_ros.learning.export import write_onnx, write_weights
     from turbseg_ros.learning.training import blended, train
 
     every = max(options.steps // _REPORTS, 1)
     curve: list[dict[str, float]] = []
-    start = read_weights(options.start) if options.start else None
     reports = train(
         lessons.trained_on,
         options.seed,
         options.steps,
         report_every=every,
-        start=start,
+        start=_start(options, lessons) if options.start else None,
         shown=lessons.shown,
     )
     for number, (loss, net) in enumerate(reports, start=1):
@@ -253,7 +255,7 @@ def _train(
             stop.cut = True
             break
     if options.keep:
-        net = blended(read_weights(options.start), net, options.keep)
+        net = blended(_start(options, lessons), net, options.keep)
         scores = _scores(net, lessons)
         print(f"with a share of {options.keep:g} kept  {_told(scores)}", flush=True)
     partial = {"partial": interrupted_after(step, options.steps, "steps")} if stop.cut else {}
@@ -266,6 +268,22 @@ def _train(
         "curve": curve,
         **partial,
     }
+
+
+def _start(options: argparse.Namespace, lessons: Lessons) -> RefineNet:
+    """Return the network to go on with, with a level more where it has fewer than are trained."""
+    import torch
+
+    from turbseg_ros.learning.export import read_weights
+    from turbseg_ros.learning.refine_net import WIDTHS, deepened
+
+    net = read_weights(options.start)
+    if len(net.widths) == len(WIDTHS) - 1:
+        windows = lessons.trained_on.inputs
+        typical = windows[:: max(len(windows) // _TYPICAL, 1)]
+        maps = torch.from_numpy(typical.astype(np.float32))
+        net = deepened(net, WIDTHS[-1], maps)
+    return net
 
 
 def _scores(net: RefineNet, lessons: Lessons) -> dict[str, HeldOut]:

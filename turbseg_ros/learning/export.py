@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import contextlib
 import io
+from collections.abc import Mapping
 from pathlib import Path
 
 import torch
 from onnx import ModelProto
 from safetensors import SafetensorError
 from safetensors.torch import load, save
+from torch import Tensor
 
-from turbseg_ros.learning.refine_net import RefineNet
+from turbseg_ros.learning.refine_net import WIDTHS, RefineNet
 from turbseg_ros.learning.torch_import import NetworkError
 from turbseg_ros.learning.window_input import CHANNELS, SIDE
 
@@ -47,16 +49,26 @@ def write_weights(net: RefineNet, path: Path) -> None:
 
 
 def read_weights(path: Path) -> RefineNet:
-    """Return the network whose weights `write_weights` wrote.
+    """Return the network whose weights `write_weights` wrote, of as many levels as they have.
 
     :raises NetworkError: when the file is missing or holds others.
     """
-    net = RefineNet(len(CHANNELS))
     try:
-        net.load_state_dict(load(path.read_bytes()))
+        weights = load(path.read_bytes())
+        net = RefineNet(len(CHANNELS), _widths(weights))
+        net.load_state_dict(weights)
     except OSError as error:
         raise NetworkError(f"{path}: {error.strerror or error}") from error
     except (RuntimeError, SafetensorError) as error:
         reason = str(error).splitlines()[0]
         raise NetworkError(f"{path}: not a refining network's weights ({reason})") from error
     return net
+
+
+def _widths(weights: Mapping[str, Tensor]) -> tuple[int, ...]:
+    """Return the feature maps of each level of a network with these weights."""
+    fine: list[int] = []
+    while (join := weights.get(f"join.{len(fine)}.0.weight")) is not None:
+        fine.append(len(join))
+    coarsest = weights.get(f"narrow.{len(fine) - 1}.weight")
+    return WIDTHS if coarsest is None else (*fine, coarsest.shape[1])

@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from turbseg_ros.learning.examples import Examples
-from turbseg_ros.learning.refine_net import RefineNet
+from turbseg_ros.learning.refine_net import WIDTHS, RefineNet
 from turbseg_ros.learning.window_input import CHANNELS
 
 _PEAK_RATE = 3e-3
@@ -28,6 +28,12 @@ _SMOOTHING = 40.0
 # is followed, and becomes an object.
 _INVENTED = 2.0
 
+# Share of the windows that are seen through haze, and the least contrast that it leaves there.
+_HAZY, _LEAST_CONTRAST = 0.4, 0.1
+# Noise of a camera in grey values of `grey`, which haze makes larger beside the contrast that is
+# left, and the most that comes of it.
+_NOISE, _MOST_NOISE = 0.03, 0.2
+
 # Share of the steps that see windows so.
 _UPSIDE_DOWN, _ON_ITS_SIDE = 0.15, 0.15
 
@@ -38,6 +44,7 @@ _BACKGROUND = [
     for name in ("change", "deviation", "difference", "known", "light", "colour")
 ]
 _DEVIATION = CHANNELS.index("deviation")
+_LIGHT, _COLOUR = CHANNELS.index("light"), CHANNELS.index("colour")
 _MOTION = [CHANNELS.index(name) for name in ("motion", "share")]
 _SIZE = [CHANNELS.index(name) for name in ("width", "height")]
 
@@ -65,8 +72,8 @@ def augmented(inputs: Tensor, truth: Tensor, random: torch.Generator) -> tuple[T
 
     Windows are mirrored, shifted, stretched and turned a little, some are upside down or lie on
     their side, for things fly, fall and lean as they like; the picture gets another
-    contrast and noise; the background gets less certain, or unknown in a part; the motion's smear
-    is wider or narrower.
+    contrast and noise, some are hazy; the background gets less certain, or unknown in a part; the
+    motion's smear is wider or narrower.
     """
     count = len(inputs)
 
@@ -102,6 +109,8 @@ def augmented(inputs: Tensor, truth: Tensor, random: torch.Generator) -> tuple[T
     inputs[:, [_GREY]] += noise * column(uniform(0.0, 0.06))
     inputs[:, [_DEVIATION]] = inputs[:, [_DEVIATION]] ** column(uniform(0.7, 1.5))
     inputs[:, _MOTION] *= column(uniform(0.75, 1.2))
+    left = _LEAST_CONTRAST ** uniform(0.0, 1.0)
+    inputs = hazy(inputs, torch.where(chosen(_HAZY) > 0.0, left, 1.0), random)
     unknown = _blobs(count, inputs.shape[2:], random) * column(chosen(0.3))
     inputs[:, _BACKGROUND] *= 1.0 - unknown
     for channel in (_MOVING, _CORE):
@@ -111,6 +120,27 @@ def augmented(inputs: Tensor, truth: Tensor, random: torch.Generator) -> tuple[T
         if torch.rand(1, generator=random) < odds:
             inputs, truth = _turned(inputs, axes), _turned(truth, axes)
     return inputs, truth
+
+
+def hazy(inputs: Tensor, contrast: Tensor, random: torch.Generator) -> Tensor:
+    """Return windows as they are where haze leaves a share of the contrast, and all of the noise.
+
+    Grey values are relative to a window's contrast, so that there it is noise that grows; what
+    differs from the background by its light, its colour or more than its noise does so by less.
+
+    :param inputs: NxCxHxW, which are changed.
+    :param contrast: N, what is left of it, above 0, to 1.
+    """
+    contrast = contrast[:, None, None, None]
+    inputs[:, [_LIGHT]] *= contrast
+    for channel in (_COLOUR, _DEVIATION):
+        # Both are of the form x / (x + half).
+        value = inputs[:, [channel]].clamp(0.0, 1.0)
+        inputs[:, [channel]] = contrast * value / (1.0 - (1.0 - contrast) * value)
+    usual = (_NOISE * (1.0 / contrast - 1.0)).clamp(max=_MOST_NOISE)
+    noise = torch.randn(inputs[:, :1].shape, generator=random) * usual
+    inputs[:, [_GREY, _CHANGE]] += noise
+    return inputs
 
 
 def _turned(maps: Tensor, axes: tuple[int, ...]) -> Tensor:
@@ -216,7 +246,7 @@ def train(
     """
     torch.manual_seed(seed)
     random = torch.Generator().manual_seed(seed)
-    net = RefineNet(len(CHANNELS)) if start is None else start
+    net = RefineNet(len(CHANNELS), WIDTHS) if start is None else start
     peak = _PEAK_RATE if start is None else _LATER_PEAK_RATE
     # Takes a quarter less time on a processor.
     net.to(memory_format=torch.channels_last)
