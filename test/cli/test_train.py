@@ -17,6 +17,8 @@ from support.drawn_footage import DrawnFootage
 pytest.importorskip("torch", reason="torch is not installed: make test-learning")
 
 from safetensors.torch import load_file
+from torch import Tensor
+from torch.testing import assert_close
 
 from turbseg_ros.cli import train as cli
 from turbseg_ros.cli.train import Lessons, main
@@ -118,6 +120,28 @@ def test_a_share_of_the_start_is_kept(tmp_path: Path, capsys: pytest.CaptureFixt
     # The stand-in for training gives a new network, whose means are all 0.
     assert float(fresh["first.1.running_mean"].abs().max()) < 1e-6
     assert float(fresh["judge.weight"].abs().max()) > 0
+
+
+def test_a_start_of_one_level_less_is_deepened_once_and_by_the_seed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    starts: list[dict[str, Tensor]] = []
+
+    def untrained(*_: Any, start: RefineNet, **__: Any) -> Iterator[tuple[float, RefineNet]]:
+        starts.append({name: value.clone() for name, value in start.state_dict().items()})
+        yield 0.5, start
+
+    monkeypatch.setattr(training, "train", untrained)
+    shallow = tmp_path / "start.safetensors"
+    write_weights(RefineNet(len(CHANNELS), WIDTHS[:-1]), shallow)
+    for name in ("one", "again"):
+        command = [*ARGUMENTS, "-o", str(tmp_path / name), "--start", str(shallow)]
+        assert main([*command, "--keep", "0.5"]) == 0
+    written = load_file(tmp_path / "one" / "refine_net.safetensors")
+    for name, value in written.items():
+        # What nothing was learnt since is half of itself and half of itself.
+        assert_close(value, starts[0][name])
+        assert_close(starts[1][name], starts[0][name], rtol=0.0, atol=0.0)
 
 
 def test_a_start_that_is_no_network_is_refused_in_one_line(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import copy
 import dataclasses
 import functools
 import json
@@ -235,6 +236,7 @@ def _train(
     from turbseg_ros.learning.export import write_onnx, write_weights
     from turbseg_ros.learning.training import blended, train
 
+    start = _start(options, lessons) if options.start else None
     every = max(options.steps // _REPORTS, 1)
     curve: list[dict[str, float]] = []
     reports = train(
@@ -242,7 +244,8 @@ def _train(
         options.seed,
         options.steps,
         report_every=every,
-        start=_start(options, lessons) if options.start else None,
+        # Training changes it.
+        start=copy.deepcopy(start),
         shown=lessons.shown,
     )
     for number, (loss, net) in enumerate(reports, start=1):
@@ -254,8 +257,8 @@ def _train(
         if stop.received and step < options.steps:
             stop.cut = True
             break
-    if options.keep:
-        net = blended(_start(options, lessons), net, options.keep)
+    if start is not None and options.keep:
+        net = blended(start, net, options.keep)
         scores = _scores(net, lessons)
         print(f"with a share of {options.keep:g} kept  {_told(scores)}", flush=True)
     partial = {"partial": interrupted_after(step, options.steps, "steps")} if stop.cut else {}
@@ -271,7 +274,10 @@ def _train(
 
 
 def _start(options: argparse.Namespace, lessons: Lessons) -> RefineNet:
-    """Return the network to go on with, with a level more where it has fewer than are trained."""
+    """Return the network to go on with, with a level more where it has one less than are trained.
+
+    What the new level begins with is drawn by the seed.
+    """
     import torch
 
     from turbseg_ros.learning.export import read_weights
@@ -282,6 +288,7 @@ def _start(options: argparse.Namespace, lessons: Lessons) -> RefineNet:
         windows = lessons.trained_on.inputs
         typical = windows[:: max(len(windows) // _TYPICAL, 1)]
         maps = torch.from_numpy(typical.astype(np.float32))
+        torch.manual_seed(options.seed)
         net = deepened(net, WIDTHS[-1], maps)
     return net
 
