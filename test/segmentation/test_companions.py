@@ -4,22 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
-from turbseg_ros.segmentation.cropped_mask import Box
+from support.detections import PLAIN, STILL_CAMERA, seen
 from turbseg_ros.segmentation.kalman_tracker import KalmanTracker
-from turbseg_ros.segmentation.track import Detection, Observation
+from turbseg_ros.segmentation.track import Detection
 
-STILL_CAMERA = np.eye(3)
-PLAIN = np.full((480, 864, 1), 128, np.uint8)
 VELOCITY = (4.0, 0.0)
 APART, TOUCHING = range(6), range(6, 36)
 
 
-def rectangle(x: float, width: int, y: int = 100, height: int = 20) -> Detection:
-    left = round(x)
-    box = Box(left, y, left + width, y + height)
-    return Detection(box, np.ones((height, width), bool), VELOCITY, moving=True)
+def rectangle(x: float, width: int) -> Detection:
+    return seen(x, 100, VELOCITY, width=width, height=20)
 
 
 def seen_ids(frames: Sequence[Sequence[Detection]]) -> list[set[int]]:
@@ -27,8 +21,8 @@ def seen_ids(frames: Sequence[Sequence[Detection]]) -> list[set[int]]:
     tracker = KalmanTracker(min_hits=4, false_alarms_per_hour=1.0, max_age=10, slots=3)
     ids = []
     for detections in frames:
-        seen: list[Observation] = tracker.update(detections, STILL_CAMERA, 0.1, PLAIN)
-        ids.append({each.track.id for each in seen if each.track.confirmed})
+        observations = tracker.update(detections, STILL_CAMERA, 0.1, PLAIN)
+        ids.append({each.track.id for each in observations if each.track.confirmed})
     return ids
 
 

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from support.detections import PLAIN, STILL_CAMERA, seen
 from support.drawn_scene import jaccard, texture
 from turbseg_ros.arrays import ByteImage
 from turbseg_ros.segmentation.cropped_mask import Box
@@ -19,10 +20,7 @@ from turbseg_ros.segmentation.kalman_tracker import KalmanTracker
 from turbseg_ros.segmentation.kmeans_ids import KMeansIds, kmeans_ids
 from turbseg_ros.segmentation.track import Detection, Observation, Track, joined
 
-STILL_CAMERA = np.eye(3)
 CONFIRMATION, MAX_AGE, SLOTS = 4, 10, 3
-# Nothing to tell objects apart by but their place.
-PLAIN = np.full((480, 864, 1), 128, np.uint8)
 
 
 def tracker_of(**changes: Any) -> KalmanTracker:
@@ -33,21 +31,6 @@ def tracker_of(**changes: Any) -> KalmanTracker:
         "slots": SLOTS,
     }
     return KalmanTracker(**{**known, **changes})
-
-
-def seen(
-    x: float,
-    y: float,
-    velocity: tuple[float, float] = (0.0, 0.0),
-    *,
-    width: int = 20,
-    height: int = 12,
-    moving: bool = True,
-) -> Detection:
-    """A rectangle whose upper left pixel is (x, y)."""
-    left, top = round(x), round(y)
-    box = Box(left, top, left + width, top + height)
-    return Detection(box, np.ones((height, width), bool), velocity, moving)
 
 
 def crossing(

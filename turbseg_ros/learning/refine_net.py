@@ -11,7 +11,8 @@ from torch.nn import functional
 WIDTHS = (8, 16, 32, 48, 96)
 """Feature maps of each level, finest first, of the network that knows objects beforehand.
 
-Coarse levels cost little: the last takes a sixth of its operations, and two thirds of its weights.
+Coarse levels cost little: the last takes a seventh of its operations, and has two thirds of its
+weights.
 """
 
 

@@ -53,6 +53,8 @@ class Companions:
         together = {frozenset(pair) for tracks in shared for pair in combinations(tracks, 2)}
         for older, younger in combinations(seen, 2):
             company = self._companies.setdefault((older, younger), _Company())
+            if company.were_apart:
+                continue
             if {older, younger} in together:
                 offset = younger.position - older.position
                 company.together += 1
@@ -60,7 +62,7 @@ class Companions:
             else:
                 company.beside += 1
                 gap = older.detection.box.gap(younger.detection.box)
-                company.were_apart |= gap > _APART * max(older.size, younger.size)
+                company.were_apart = gap > _APART * max(older.size, younger.size)
 
     def parts(self) -> set[Track]:
         """Return the tracks that are parts of older ones."""
