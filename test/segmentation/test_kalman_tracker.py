@@ -16,6 +16,7 @@ from support.detections import PLAIN, STILL_CAMERA, seen
 from support.drawn_scene import jaccard, texture
 from turbseg_ros.arrays import ByteImage
 from turbseg_ros.segmentation.cropped_mask import Box
+from turbseg_ros.segmentation.front import UNCUT, Sides
 from turbseg_ros.segmentation.kalman_tracker import KalmanTracker
 from turbseg_ros.segmentation.kmeans_ids import KMeansIds, kmeans_ids
 from turbseg_ros.segmentation.track import Detection, Observation, Track, joined
@@ -179,8 +180,29 @@ def test_what_wanders_along_the_border_never_becomes_an_object() -> None:
     tracker = tracker_of()
     for frame in range(20):
         outline = seen(2 + 5 * (frame % 2), 30 + 0.5 * frame, width=12, height=20)
-        for observation in update(tracker, [replace(outline, truncated=True)], tilt=0.1):
+        for observation in update(
+            tracker, [replace(outline, cut_sides=Sides(left=True))], tilt=0.1
+        ):
             assert not observation.track.confirmed
+
+
+@pytest.mark.parametrize("flow_known", [True, False])
+def test_what_enters_becomes_an_object_by_its_front_end(flow_known: bool) -> None:
+    # A thin end comes in by 8 pixels a frame, and what is high stays at the border for now: the
+    # middle of what is seen goes a quarter as far.
+    entering = []
+    for frame in range(3, 14):
+        outline = seen(160 - 8 * frame, 60, (-8.0, 0.0), width=8 * frame, height=30)
+        mask = outline.mask.copy()
+        mask[:22, : max(8 * frame - 24, 0)] = False
+        entering.append(
+            replace(outline, mask=mask, cut_sides=Sides(right=True), flow_known=flow_known)
+        )
+    confirmed = confirmed_at(entering)
+    assert confirmed is not None
+    assert confirmed < 7
+    by_its_middle = confirmed_at(replace(each, cut_sides=UNCUT) for each in entering)
+    assert by_its_middle is None or by_its_middle > confirmed
 
 
 def test_an_object_that_hides_for_some_frames_keeps_its_id() -> None:
@@ -332,7 +354,7 @@ def test_it_takes_longer_where_the_place_is_cluttered_and_where_alarms_must_be_r
 
 def test_a_place_that_jumps_must_be_seen_twice_as_often_but_not_at_the_border() -> None:
     flickering = [seen(20.0 + 2 * k, 20.0 + 3 * (k % 2), (2.0, 0.0)) for k in range(16)]
-    entering = [replace(detection, truncated=True) for detection in flickering]
+    entering = [replace(detection, cut_sides=Sides(bottom=True)) for detection in flickering]
     at_once, late = confirmed_at(entering), confirmed_at(flickering)
     assert at_once is not None
     assert late is not None

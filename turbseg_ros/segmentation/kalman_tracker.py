@@ -394,17 +394,17 @@ class KalmanTracker:
             return False
         if _opposes_flow(track):
             return False
-        wanted = max(
-            self._significant_displacement(track, tilt),
-            _CONFIRMED_RATIO * sum(track.flow_speeds),
-        )
+        least = self._significant_displacement(track, tilt)
         if any(site.holds(track.start) for site in self._clutter_sites):
-            wanted = max(wanted, track.size)
+            least = max(least, track.size)
         if not track.detection.flow_known and (
             track.hits < self._min_hits + _UNTOLD_HITS or not _gets_clear(track, tilt)
         ):
             return False
+        wanted = max(least, _CONFIRMED_RATIO * sum(track.flow_speeds))
         if track.detection.truncated:
+            if _comes_straight(track, least):
+                return True
             wanted = max(wanted, _WANDERS * track.walked)
         return track.travelled >= wanted
 
@@ -473,17 +473,30 @@ def _opposes_flow(track: Track) -> bool:
     """
     if not track.detection.flow_known:
         return False
-    ways = np.array([track.position - track.start, track.velocity])
+    came = track.front.displacement
+    if not came.any():
+        came = track.position - track.start
+    ways = np.array([came, track.velocity])
     return bool((ways @ np.array(track.detection.velocity) < 0.0).all())
+
+
+def _comes_straight(track: Track, least: float) -> bool:
+    """Whether the front end of what enters or leaves has come straight on, as far as flow says.
+
+    :param least: the least displacement wanted of it, in pixels.
+    """
+    front = track.front
+    by_flow = _CONFIRMED_RATIO * sum(track.flow_speeds[-len(front.places) :])
+    return front.distance >= max(least, by_flow, _STRAIGHT * front.length)
 
 
 def _gets_clear(track: Track, tilt: float) -> bool:
     """Whether a track has gone straight on, further than it is wide and than tilt takes it.
 
-    The middle of its outline or its picture may tell.
+    The middle of its outline, its front end or its picture may tell.
     """
     clear = _CLEAR * float(np.sqrt(track.detection.area)) + _SHIMMER * tilt
-    ways = [(track.travelled, track.walked)]
+    ways = [(track.travelled, track.walked), (track.front.distance, track.front.length)]
     if (stepped := track.stepped) is not None:
         ways.append(stepped)
     return any(travelled >= max(clear, _STRAIGHT * walked) for travelled, walked in ways)

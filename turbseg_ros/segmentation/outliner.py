@@ -26,6 +26,7 @@ from turbseg_ros.segmentation.exposure import (
     exposure_between,
 )
 from turbseg_ros.segmentation.foreground import Surroundings, foreground_masks
+from turbseg_ros.segmentation.front import Sides
 from turbseg_ros.segmentation.geometry import middle_displacement, translation
 from turbseg_ros.segmentation.motion import MotionEstimate
 from turbseg_ros.segmentation.moving import Moving
@@ -465,18 +466,20 @@ def _detection(
         moving=bool((outline.mask & moving[outline.box.slices]).any()),
         clutter=clutter,
         flow_known=flow_known,
-        truncated=_is_truncated(row, column, motion.visible),
+        cut_sides=_cut_sides(row, column, motion.visible),
     )
 
 
-def _is_truncated(row: Pixels, column: Pixels, visible: Mask) -> bool:
-    """Whether pixels reach the border of what neighbours see, HxW."""
+def _cut_sides(row: Pixels, column: Pixels, visible: Mask) -> Sides:
+    """Return on which sides pixels reach the border of what neighbours see, HxW."""
     height, width = visible.shape
     top, bottom, left, right = row.min(), row.max(), column.min(), column.max()
-    if min(top, left) < _BORDER or bottom >= height - _BORDER or right >= width - _BORDER:
-        return True
-    around = visible[
-        top - _BORDER : bottom + _BORDER + 1 : _BORDER // 2,
-        left - _BORDER : right + _BORDER + 1 : _BORDER // 2,
-    ]
-    return not bool(around.all())
+    down, across = (
+        slice(first, last + 1, _BORDER // 2) for first, last in ((top, bottom), (left, right))
+    )
+    return Sides(
+        left=bool(left < _BORDER or not visible[down, left - _BORDER].all()),
+        top=bool(top < _BORDER or not visible[top - _BORDER, across].all()),
+        right=bool(right >= width - _BORDER or not visible[down, right + _BORDER].all()),
+        bottom=bool(bottom >= height - _BORDER or not visible[bottom + _BORDER, across].all()),
+    )

@@ -6,6 +6,7 @@ ego-motion, so that velocities are against the scene.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol
@@ -16,6 +17,7 @@ import numpy as np
 from turbseg_ros.arrays import ByteImage, Mask, Matrix, Point
 from turbseg_ros.segmentation.certainty import certainty
 from turbseg_ros.segmentation.cropped_mask import Box, CroppedMask
+from turbseg_ros.segmentation.front import UNCUT, FrontPath, Sides
 from turbseg_ros.segmentation.geometry import (
     transformed_point,
     transformed_points,
@@ -58,12 +60,12 @@ class Detection:
     `velocity` is in pixels a frame against the scene; `moving` tells whether motion was found in
     this frame, or only an outline that stands out where an object is known to be. `clutter` is
     what its place is known to move by without anything being there, in pixels a frame;
-    `truncated` tells whether it reaches the border of what can be seen, `flow_known` whether flow
-    tells its velocity, which else is 0. `targets` are the numbers of the small targets that it
-    shows, which were followed for long enough to know that it is an object. `stands` is the id of
-    the object that is known to stand there, 0 for none, `hidden` whether something else is before
-    that, and `absorbed` whether it stood there for so long that it is background from here on; see
-    `stopped`.
+    `cut_sides` are those on which it reaches the border of what can be seen, `flow_known` tells
+    whether flow tells its velocity, which else is 0. `targets` are the numbers of the small
+    targets that it shows, which were followed for long enough to know that it is an object.
+    `stands` is the id of the object that is known to stand there, 0 for none, `hidden` whether
+    something else is before that, and `absorbed` whether it stood there for so long that it is
+    background from here on; see `stopped`.
     """
 
     box: Box
@@ -71,7 +73,7 @@ class Detection:
     velocity: tuple[float, float]
     moving: bool
     clutter: float = 0.0
-    truncated: bool = False
+    cut_sides: Sides = UNCUT
     flow_known: bool = True
     targets: frozenset[int] = frozenset()
     stands: int = 0
@@ -82,6 +84,11 @@ class Detection:
     def moves_significantly(self) -> bool:
         """Whether it is known to be an object before it is tracked."""
         return bool(self.targets)
+
+    @property
+    def truncated(self) -> bool:
+        """Whether the border of what can be seen cuts it off."""
+        return any(self.cut_sides)
 
     @property
     def outline(self) -> CroppedMask:
@@ -106,12 +113,13 @@ class Track:
     """One object through time.
 
     `detection` is what was seen of it last, when its centroid, hidden parts included, was at
-    `seen_at`; `appearance` is what it looked like when last seen whole, None until it is an
-    object. `start` is where it was seen first; `sightings` are its centroids, `clutter` what their
-    places move by, the oldest first; `targets` the numbers of the small targets that it showed
-    last. `template` is what it looked like in the frame before where flow doesn't tell how fast
-    it is, `steps` are the displacements against the scene that its picture told, and `followed`
-    tells whether it did in this frame.
+    `seen_at`; `front` is how its front end has come where the border cuts it off; `appearance` is
+    what it looked like when last seen whole, None until it is an object. `start` is where it was
+    seen first; `sightings` are its centroids, `clutter` what their places move by, the oldest
+    first; `targets` the numbers of the small targets that it showed last. `template` is what it
+    looked like in the frame before where flow doesn't tell how fast it is, `steps` are the
+    displacements against the scene that its picture told, and `followed` tells whether it did in
+    this frame.
     """
 
     detection: Detection
@@ -135,6 +143,7 @@ class Track:
     template: Template | None = None
     steps: list[Point] = field(default_factory=list)
     followed: bool = False
+    front: FrontPath = field(default_factory=FrontPath)
 
     @classmethod
     def started(cls, detection: Detection, tilt: float) -> Track:
@@ -151,6 +160,7 @@ class Track:
             sightings=[centroid],
             clutter=[detection.clutter],
             targets=detection.targets,
+            front=FrontPath().seen(detection.outline, detection.cut_sides),
         )
 
     @property
@@ -219,6 +229,7 @@ class Track:
         self.trail = transformed_points(ego_motion, self.trail)
         self.sightings = transformed_points(ego_motion, self.sightings)
         self.steps = [linear @ step for step in self.steps]
+        self.front = self.front.propagated(ego_motion)
 
     def follow(self, image: ByteImage, ego_motion: Matrix) -> None:
         """Put it where its picture is found in the frame that it was propagated to.
@@ -318,6 +329,7 @@ class Track:
 
     def _see(self, detection: Detection, centroid: Point) -> None:
         self.detection, self.seen_at = detection, centroid
+        self.front = self.front.seen(detection.outline, detection.cut_sides)
         self.targets = detection.targets or self.targets
         self.sightings = [*self.sightings, centroid][-_TRAIL_LENGTH:]
         self.clutter = [*self.clutter, detection.clutter][-_TRAIL_LENGTH:]
@@ -498,7 +510,7 @@ def joined(parts: Sequence[Detection]) -> Detection:
         box=box,
         mask=mask,
         moving=any(part.moving for part in parts),
-        truncated=any(part.truncated for part in parts),
+        cut_sides=functools.reduce(Sides.joined, (part.cut_sides for part in parts)),
         targets=frozenset[int]().union(*(part.targets for part in parts)),
         stands=max(part.stands for part in parts),
         absorbed=any(part.absorbed for part in parts),
