@@ -382,9 +382,9 @@ class SeedParameters:
     )
     small_targets: bool = parameter(
         True,
-        "Follow what stands out from all of its surroundings in each frame, and take it for an "
-        "object once it has come far enough: what is too small or too slow for flow, or lies "
-        "before waves.",
+        "Follow what stands out from all of its surroundings in each frame, or in its change, and "
+        "take it for an object once it has come far enough: what is too small or too slow for "
+        "flow, or lies before waves.",
         read_only=True,
     )
 

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from turbseg_ros.arrays import ByteImage
+from turbseg_ros.arrays import ByteImage, Mask
 
 Points = npt.NDArray[np.float64]
 Numbers = npt.NDArray[np.float64]
@@ -56,6 +56,10 @@ class Blobs:
     points: Points
     contrast: Numbers
     strength: Numbers
+
+    def chosen(self, which: Mask) -> Blobs:
+        """Return some of them; `which` is N."""
+        return Blobs(self.points[which], self.contrast[which], self.strength[which])
 
 
 NO_BLOBS = Blobs(np.zeros((0, 2)), np.zeros(0), np.zeros(0))

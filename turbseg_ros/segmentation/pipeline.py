@@ -89,7 +89,8 @@ class Pipeline:
     def append(self, frame: PreparedFrame) -> None:
         """Take the next frame into the window, and follow what stands out in it."""
         self.window.append(frame)
-        self._targets.take(frame.blobs, frame.from_previous, frame.camera.state, self._overlay)
+        with self._observer.stage("small targets"):
+            self._targets.follow(self.window, self._travelled_objects(frame.index), self._overlay)
 
     def segment_frame(self, index: int, frame: Frame, load: Load) -> PendingResult:
         """Segment the next frame of the window."""

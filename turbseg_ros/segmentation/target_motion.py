@@ -28,6 +28,10 @@ _MIN_DISPLACEMENT, _MIN_DISPLACEMENT_ALONE, _DRIFT = 2.0, 3.0, 0.015
 _LONG, _STRONG = 24, 15.0
 # The same of what is larger: the middle of many pixels wanders less, and is seldom noise.
 _LARGE_LONG, _LARGE_STRONG = 12, 4.0
+# The same of what is told by what has changed: the scene isn't seen there at all. Pixels a frame
+# that it must go at least, over so many frames: what is faster than that isn't parallax.
+_CHANGED_LONG, _CHANGED_STRONG = 12, 5.0
+_CREEP, _CREEP_SPAN = 0.125, 24
 # Pixels over its strength by which the place of what is faint wanders with what lies behind it.
 _WIDTH = 3.5
 # Others that a displacement is compared with, the nearest, the fewest that tell something, and the
@@ -62,7 +66,8 @@ class FollowedTargets:
     frame, from the one where each was first seen and NaN before; `sightings` the same as they
     came, NaN where not seen. `places`, Nx2, are where they are now, `strengths` how clearly they
     stand out; `moved`, N, which were found to move before. Pixels are those of a picture `scale`
-    times smaller than at processing resolution.
+    times smaller than at processing resolution. `changed`, N, are those told by what has changed:
+    they alone are judged then, against the others; None where all are judged by one another.
     """
 
     paths: Points
@@ -71,6 +76,19 @@ class FollowedTargets:
     strengths: Numbers
     moved: Mask
     scale: int = 1
+    changed: Mask | None = None
+
+    def held_against(self, standing: FollowedTargets) -> FollowedTargets:
+        """Return both, these as what has changed; all have the same scale."""
+        return FollowedTargets(
+            paths=np.concatenate([self.paths, standing.paths]),
+            sightings=np.concatenate([self.sightings, standing.sightings]),
+            places=np.concatenate([self.places, standing.places]),
+            strengths=np.concatenate([self.strengths, standing.strengths]),
+            moved=np.concatenate([self.moved, standing.moved]),
+            scale=self.scale,
+            changed=np.arange(len(self.paths) + len(standing.paths)) < len(self.paths),
+        )
 
 
 def have_moved(targets: FollowedTargets, every: int, tests: int, camera_known: int) -> Mask:
@@ -84,19 +102,24 @@ def have_moved(targets: FollowedTargets, every: int, tests: int, camera_known: i
     if not count:
         return moved
     paths = _Paths(targets.paths)
+    others = np.ones(count, bool) if targets.changed is None else ~targets.changed
     length = np.linalg.norm(paths.displacements, axis=1)
-    apart = np.linalg.norm(paths.displacements - np.median(paths.displacements, axis=0), axis=1)
+    common = np.median(paths.displacements[others], axis=0) if others.any() else np.zeros(2)
+    apart = np.linalg.norm(paths.displacements - common, axis=1)
     still = targets.scale * targets.places[apart < 2.0 * _MIN_DISPLACEMENT]
-    if count > _FEWEST and not (len(still) and np.ptp(still, axis=0).max() > _SPREAD):
+    crowded = targets.changed is None and count > _FEWEST
+    if crowded and not (len(still) and np.ptp(still, axis=0).max() > _SPREAD):
         # Registration may hang on one thing, and the scene be what moves.
         return moved
     jitters = _deviations(targets.sightings).max(axis=1) > _JITTERS
-    stands = ~targets.moved & (jitters | (length < _BURNT_IN))
-    drift = _scatter(paths.displacements[~targets.moved])
+    stands = others & ~targets.moved & (jitters | (length < _BURNT_IN))
+    drift = _scatter(paths.displacements[others & ~targets.moved])
     chance = chance_per_test(_FALSE_ALARMS_PER_HOUR, every, tests)
-    long, strong = (_LONG, _STRONG) if targets.scale == 1 else (_LARGE_LONG, _LARGE_STRONG)
+    long, strong = _enough(targets)
     # Most stand still, and those need no closer look.
     far = jitters & (np.maximum(apart, length) > _MIN_DISPLACEMENT / 2.0)
+    if targets.changed is not None:
+        far &= targets.changed
     for number in np.nonzero(far)[0].tolist():
         frames = int(paths.frames[number])
         seen = ~np.isnan(targets.sightings[number, :, 0])
@@ -104,14 +127,19 @@ def have_moved(targets: FollowedTargets, every: int, tests: int, camera_known: i
             continue
         there = stands & (paths.frames >= 0.5 * frames)
         there[number] = False
-        others = _nearest(targets.scale * targets.places, number, np.nonzero(there)[0])
-        alone = len(others) < _FEWEST
-        relative = length[[number]] if alone else paths.relative(number, others)
+        near = _nearest(targets.scale * targets.places, number, np.nonzero(there)[0])
+        alone = len(near) < _FEWEST
+        relative = length[[number]] if alone else paths.relative(number, near)
         least = _MIN_DISPLACEMENT_ALONE if alone else _MIN_DISPLACEMENT
         factor = _STILL_MOVES if targets.moved[number] else 1.0
         if np.mean(relative > factor * least) < _SHARE:
             continue
-        if alone and not (long <= frames <= camera_known and targets.strengths[number] > strong):
+        by_itself = alone or targets.changed is not None
+        if by_itself and not (
+            long <= frames <= camera_known and targets.strengths[number] > strong
+        ):
+            continue
+        if targets.changed is not None and _creeps(targets.paths[number][seen]):
             continue
         if targets.scale > 1 and (
             _rests(targets.paths[number]) or _passes_with_scene(targets, number, seen)
@@ -125,6 +153,19 @@ def have_moved(targets: FollowedTargets, every: int, tests: int, camera_known: i
         wanted = max(significant_displacement(own, 0.0, frames, every, chance), least)
         moved[number] = np.mean(relative > factor * wanted) >= _SHARE
     return moved
+
+
+def _enough(targets: FollowedTargets) -> tuple[int, float]:
+    """Return the fewest frames and the least strength of what little else speaks for."""
+    if targets.changed is not None:
+        return _CHANGED_LONG, _CHANGED_STRONG
+    return (_LONG, _STRONG) if targets.scale == 1 else (_LARGE_LONG, _LARGE_STRONG)
+
+
+def _creeps(path: Points) -> bool:
+    """Whether a target's path, Tx2, has led so slowly lately that it may be parallax."""
+    recent = path[-_CREEP_SPAN:]
+    return bool(np.hypot(*(recent[-1] - recent[0])) < _CREEP * len(recent))
 
 
 def _rests(path: Points) -> bool:

@@ -179,7 +179,8 @@ def _outline(
     shape = image.shape[:2]
     pixel = target.scale * scale
     if target.is_small:
-        reach, core, ends = _CROP, _CORE, np.inf
+        # What has changed may lie before anything, and not end within its crop.
+        reach, core, ends = _CROP, _CORE, (RING + 1) * pixel if target.by_change else np.inf
     else:
         reach, core = round((RING + _BEYOND_RING) * pixel), round(_LARGE_CORE * pixel)
         ends = (RING + 1) * pixel

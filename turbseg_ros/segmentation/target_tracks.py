@@ -19,14 +19,18 @@ import numpy as np
 from turbseg_ros.arrays import Mask, Matrix
 from turbseg_ros.segmentation.blobs import MOST, SCALES, SMALL, Blobs, Numbers, Points
 from turbseg_ros.segmentation.camera_state import CameraState
+from turbseg_ros.segmentation.changes import NO_CHANGES, Changes, changes_in
 from turbseg_ros.segmentation.clutter import CELL
+from turbseg_ros.segmentation.cropped_mask import CroppedMask
 from turbseg_ros.segmentation.geometry import scaling
+from turbseg_ros.segmentation.restless_places import RestlessPlaces
 from turbseg_ros.segmentation.target_motion import (
     Counts,
     FollowedTargets,
     have_moved,
     parts_of,
 )
+from turbseg_ros.segmentation.window import FrameWindow
 
 # Frames of a path that are remembered, and those at its end that tell a velocity.
 _MEMORY, _RECENT = 96, 12
@@ -40,6 +44,9 @@ _MAX_MISSES = (2, 6)
 _ALIKE = 2.5
 # Every so many frames paths are judged.
 _EVERY = 4
+# Sightings around the places where a change was lately, in so many frames, from which on it is
+# one of many that go nowhere.
+_RESTLESS, _LATELY = 1.0, 24
 
 
 @dataclass(frozen=True)
@@ -48,7 +55,8 @@ class Target:
 
     Place (x, y) and velocity, against the scene, are in pixels (a frame) at processing resolution;
     `number` is the same in all its frames. It was found in a picture `scale` times smaller, and
-    has been known to move for so many `frames`.
+    has been known to move for so many `frames`; `by_change` tells whether it was found in what has
+    changed.
     """
 
     place: tuple[float, float]
@@ -57,6 +65,7 @@ class Target:
     number: int
     scale: int = 1
     frames: int = 0
+    by_change: bool = False
 
     @property
     def is_small(self) -> bool:
@@ -65,11 +74,26 @@ class Target:
 
 
 class TargetPyramid:
-    """Follows what stands out at each of the `SCALES`."""
+    """Follows what stands out at each of the `SCALES`, and in what has changed."""
 
     def __init__(self) -> None:
         numbers = itertools.count(1)
         self._tracks = [TargetTracks(scale, numbers) for scale in SCALES]
+        self._changing = TargetTracks(1, numbers, standing=self._tracks[0])
+
+    def follow(
+        self, window: FrameWindow, objects: Sequence[CroppedMask], overlay: Mask | None
+    ) -> None:
+        """Take what stands out in the newest frame of a window.
+
+        :param objects: known objects as they should be in it, at detail resolution.
+        :param overlay: hxw cells that are no scene; None where none are known.
+        """
+        frame = window.newest
+        if frame is not None:
+            changes = changes_in(window, objects)
+            state = frame.camera.state
+            self.take(frame.blobs, frame.from_previous, state, overlay, changes)
 
     def take(
         self,
@@ -77,6 +101,7 @@ class TargetPyramid:
         ego_motion: Matrix,
         state: CameraState = CameraState.STILL,
         overlay: Mask | None = None,
+        changes: Changes = NO_CHANGES,
     ) -> None:
         """Take what stands out in the next frame at each scale; see `TargetTracks.take`.
 
@@ -84,21 +109,33 @@ class TargetPyramid:
         """
         for tracks, found in zip(self._tracks, blobs, strict=False):
             tracks.take(found, ego_motion, state, overlay)
+        self._changing.take(changes.blobs, ego_motion, state, overlay, changes.known)
 
     def moving_at(self, age: int) -> list[Target]:
         """Return the targets that have moved, as seen so many frames before the newest."""
-        return [target for tracks in self._tracks for target in tracks.moving_at(age)]
+        tracks = [*self._tracks, self._changing]
+        return [target for each in tracks for target in each.moving_at(age)]
 
 
 class TargetTracks:
     """Follows what stands out at one scale, and tells what of it has moved significantly."""
 
-    def __init__(self, scale: int = 1, numbers: Iterator[int] | None = None) -> None:
+    def __init__(
+        self,
+        scale: int = 1,
+        numbers: Iterator[int] | None = None,
+        standing: TargetTracks | None = None,
+    ) -> None:
         """Set up tracks of nothing.
 
         :param scale: by how many times the pictures are smaller than at processing resolution.
         :param numbers: those of the targets to come.
+        :param standing: those of what stands out in the picture itself, where these are of what
+            has changed and are held against them; None where all are held against one another.
         """
+        self._standing = standing
+        # Where changes went nowhere; None before the size is known.
+        self._restless: RestlessPlaces | None = None
         self._scale = scale
         self._new_numbers = itertools.count(1) if numbers is None else numbers
         # Take processing pixels to those of the smaller picture, and back.
@@ -128,12 +165,14 @@ class TargetTracks:
         ego_motion: Matrix,
         state: CameraState = CameraState.STILL,
         overlay: Mask | None = None,
+        known: Mask | None = None,
     ) -> None:
         """Take what stands out in the next frame.
 
         :param ego_motion: takes processing pixels of the frame before to this one's.
         :param state: what the camera does in it.
         :param overlay: hxw cells that are no scene; None where none are known.
+        :param known: hxw cells of known objects, in which no new target is looked for.
         """
         self._count += 1
         self._moved_for[self._moved_for > 0] += 1
@@ -144,9 +183,10 @@ class TargetTracks:
         self._estimate()
         max_misses = np.choose(np.digitize(self._hits, (_FEW, _RECENT)), (0, *_MAX_MISSES))
         kept = self._misses <= max_misses
+        self._remember_restless(~kept, ego_motion, known)
         if not kept.all():
             self._keep(kept)
-        self._begin(blobs, ~taken)
+        self._begin(blobs, ~taken & _outside(known, blobs.points))
         if self._count % _EVERY == 0 and state is not CameraState.SLEWING:
             self._judge()
 
@@ -166,6 +206,7 @@ class TargetTracks:
                 int(self._numbers[k]),
                 self._scale,
                 int(self._moved_for[k]),
+                self._standing is not None,
             )
             for k in np.nonzero(seen)[0]
         ]
@@ -178,7 +219,7 @@ class TargetTracks:
         column, row = (self._scale * blobs.points.T // CELL).astype(int)
         rows, columns = near.shape
         scene = ~near[np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)]
-        return Blobs(blobs.points[scene], blobs.contrast[scene], blobs.strength[scene])
+        return blobs.chosen(scene)
 
     def _propagate(self, ego_motion: Matrix) -> None:
         linear, shift = ego_motion[:2, :2].T, ego_motion[:2, 2]
@@ -271,22 +312,56 @@ class TargetTracks:
         self._moved_for = np.concatenate([self._moved_for, np.zeros(count, np.int64)])
         self._numbers = np.concatenate([self._numbers, numbers])
 
+    def _remember_restless(self, ended: Mask, ego_motion: Matrix, known: Mask | None) -> None:
+        """Remember the places of changes that end, N, and have gone nowhere."""
+        if self._restless is None:
+            if self._standing is None or known is None:
+                return
+            self._restless = RestlessPlaces(known.shape)
+        self._restless.propagate(ego_motion)
+        for number in np.nonzero(ended & (self._moved_for == 0))[0].tolist():
+            self._restless.remember(self._seen_at(number))
+
+    def _seen_at(self, number: int) -> Points:
+        """Return the places at which one was seen, Tx2, the oldest first."""
+        return np.asarray(self._paths[number][~np.isnan(self._raw[number, :, 0])])
+
     def _judge(self) -> None:
         """Tell which tracks have moved significantly."""
         known = np.nonzero(self._hits >= _SURE)[0]
-        followed = FollowedTargets(
-            self._paths[known],
-            self._raw[known],
-            self._places[known],
-            self._strengths[known],
-            self._moved_for[known] > 0,
-            self._scale,
-        )
-        moved = have_moved(followed, _EVERY, MOST, self._since_lost)
+        followed = self._followed(known)
+        if self._standing is not None:
+            there = np.nonzero(self._standing._hits >= _SURE)[0]
+            followed = followed.held_against(self._standing._followed(there))
+        moved = have_moved(followed, _EVERY, MOST, self._since_lost)[: len(known)]
         # Where most of what stands out moves, it is the scene, and the camera is known badly.
-        places = self._scale * followed.places
-        if moved.any() and parts_of(places[moved]) > max(parts_of(places[~moved]), 1):
+        places = self._scale * self._places[known]
+        if self._restless is not None:
+            for k in np.nonzero(moved)[0]:
+                recent = self._seen_at(known[k])[-_LATELY:]
+                moved[k] = self._restless.sightings(recent) <= _RESTLESS
+        elif moved.any() and parts_of(places[moved]) > max(parts_of(places[~moved]), 1):
             moved[:] = False
         for_frames = np.where(moved, np.maximum(self._moved_for[known], 1), 0)
         self._moved_for[:] = 0
         self._moved_for[known] = for_frames
+
+    def _followed(self, which: Counts) -> FollowedTargets:
+        """Return some of them as they are judged."""
+        return FollowedTargets(
+            self._paths[which],
+            self._raw[which],
+            self._places[which],
+            self._strengths[which],
+            self._moved_for[which] > 0,
+            self._scale,
+        )
+
+
+def _outside(cells: Mask | None, points: Points) -> Mask:
+    """Return which points, Nx2 (x, y) at processing resolution, lie in none of some cells, hxw."""
+    if cells is None:
+        return np.ones(len(points), bool)
+    rows, columns = cells.shape
+    column, row = (points.T // CELL).astype(int)
+    return ~cells[np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)]

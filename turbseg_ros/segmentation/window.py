@@ -226,6 +226,14 @@ class FrameWindow:
         # Early on there are few: then every frame at hand counts.
         return keys if len(keys) >= _ENOUGH_KEY_FRAMES else others
 
+    def earlier(self, index: int, frames: int) -> list[int]:
+        """Return the frames at hand that show a frame's view up to so many frames before it."""
+        return sorted(
+            k
+            for k in self._frames
+            if index - frames <= k < index and self._is_use(k, index) and self.goes_on(k, index)
+        )
+
     def transform(self, source: int, target: int) -> Matrix:
         """Return the transform of processing pixels from frame `source` to frame `target`."""
         between = range(min(source, target), max(source, target) + 1)

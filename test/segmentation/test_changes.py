@@ -1,0 +1,149 @@
+"""What stands out in the change of a picture from its past."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from support.drawn_clip import segmented
+from support.drawn_scene import texture
+from turbseg_ros.arrays import ByteImage
+from turbseg_ros.parameters import Parameters
+from turbseg_ros.segmentation.background import unmasked
+from turbseg_ros.segmentation.blobs import blobs_in
+from turbseg_ros.segmentation.camera_state import CameraState, CameraTrack
+from turbseg_ros.segmentation.changes import Changes, changed_blobs, changes_in
+from turbseg_ros.segmentation.cropped_mask import CroppedMask
+from turbseg_ros.segmentation.geometry import translation
+from turbseg_ros.segmentation.preparation import PreparedFrame
+from turbseg_ros.segmentation.registration import align
+from turbseg_ros.segmentation.window import FrameWindow
+
+SHAPE = (120, 160)
+# Rough ground, on which much stands out.
+GROUND = texture(SHAPE, 4)
+
+
+def ground_with_car(x: float | None, seed: int = 0, width: int = 8) -> ByteImage:
+    """Noisy ground, with a bright car of two rows that begins at a column, if any."""
+    picture = GROUND.astype(np.float64)
+    if x is not None:
+        picture[60:62, round(x) : round(x) + width] = 230.0
+    noise = np.random.default_rng(seed).normal(0.0, 1.0, SHAPE)
+    return np.clip(np.rint(picture + noise), 0, 255).astype(np.uint8)
+
+
+def window_of(
+    frames: int, speed: float = 1.0, state: CameraState = CameraState.STILL, pan: float = 0.0
+) -> FrameWindow:
+    """A window in which a car drives from column 20 on, before a camera that may pan."""
+    window = FrameWindow(12, 100, memory=48, key_step=3)
+    for index in range(frames):
+        seen = align(ground_with_car(20 + speed * index, index), translation(-pan * index, 0.0))
+        window.append(
+            PreparedFrame(
+                index=index,
+                grey=seen,
+                scene=unmasked(seen),
+                from_previous=translation(pan, 0.0),
+                camera=CameraTrack(state),
+                blobs=(blobs_in(seen),),
+            )
+        )
+    return window
+
+
+def test_a_car_on_rough_ground_stands_out_in_its_change_though_not_in_the_picture() -> None:
+    past = [ground_with_car(x, seed) for seed, x in enumerate((20.0, 35.0, 50.0), 1)]
+    now = ground_with_car(80.0)
+    np.testing.assert_allclose(changed_blobs(now, past).points[0], (83.5, 60.5), atol=1.5)
+    assert changed_blobs(now, past).contrast[0] > 10
+    strongest = blobs_in(now).points[:3]
+    assert np.linalg.norm(strongest - (83.5, 60.5), axis=1).min() > 5
+
+
+def test_where_nothing_changed_but_noise_nothing_stands_out() -> None:
+    assert not len(
+        changed_blobs(ground_with_car(None), [ground_with_car(None, k) for k in (1, 2, 3)]).points
+    )
+
+
+def test_what_has_left_does_not_stand_out() -> None:
+    # It stood there in two of the three, and is elsewhere now.
+    past = [ground_with_car(x, seed) for seed, x in enumerate((20.0, 20.0, 50.0), 1)]
+    found = changed_blobs(ground_with_car(80.0), past).points
+    assert len(found) == 1
+    assert found[0][0] > 70
+
+
+@pytest.mark.parametrize("pan", [0.0, 0.2])
+def test_changes_are_told_in_the_newest_frame_of_a_window(pan: float) -> None:
+    changes = changes_in(window_of(40, pan=pan), [])
+    np.testing.assert_allclose(changes.blobs.points[0], (62.5 + 39 * pan, 60.5), atol=2.0)
+    assert changes.known is not None
+    assert not changes.known.any()
+
+
+@pytest.mark.parametrize(
+    "window",
+    [
+        window_of(8),
+        window_of(40, state=CameraState.SLEWING),
+        window_of(40, state=CameraState.LOST),
+        window_of(40, pan=2.0),
+    ],
+    ids=["too young", "slewing", "lost", "far away"],
+)
+def test_nothing_is_compared_where_the_past_does_not_tell(window: FrameWindow) -> None:
+    assert changes_in(window, []) == Changes()
+
+
+def test_nothing_is_compared_where_no_blobs_are_looked_for() -> None:
+    window = window_of(39)
+    newest = window_of(40).newest
+    assert newest is not None
+    window.append(replace(newest, blobs=()))
+    assert changes_in(window, []) == Changes()
+
+
+def test_known_are_the_cells_of_objects_now_and_in_the_frames_compared_with() -> None:
+    window = window_of(40)
+    before, now = (np.zeros(SHAPE, bool) for _ in range(2))
+    before[40:48, 20:28] = True
+    now[80:88, 100:108] = True
+    for index in window.earlier(39, 36):
+        window.mark_objects(index, [CroppedMask.of(before)])
+    known = changes_in(window, [CroppedMask.of(now)]).known
+    assert known is not None
+    assert known[11, 6]
+    assert known[21, 26]
+    assert not known[15, 15]
+
+
+def test_the_scene_cancels_though_the_camera_moves() -> None:
+    window = FrameWindow(12, 100, memory=48, key_step=3)
+    for index in range(40):
+        seen = align(ground_with_car(None, index), translation(-0.3 * index, 0.1 * index))
+        window.append(
+            PreparedFrame(
+                index=index,
+                grey=seen,
+                scene=unmasked(seen),
+                from_previous=translation(0.3, -0.1),
+                blobs=(blobs_in(seen),),
+            )
+        )
+    # A car stands out by more than 10; by 5 a target is believed.
+    assert (changes_in(window, []).blobs.strength < 5.0).all()
+
+
+@pytest.mark.parametrize("wanted", [True, False])
+def test_a_car_of_few_pixels_on_rough_ground_becomes_an_object(wanted: bool) -> None:
+    # A pixel a frame, eight by two of them: flow passes over it.
+    parameters = Parameters().replace({"seed.small_targets": wanted, "refine.mode": "none"})
+    frames = [ground_with_car(20.0 + index, index) for index in range(60)]
+    results = segmented(frames, parameters)
+    seen = [bool(result.labels[60:62, 20 + k : 28 + k].any()) for k, result in enumerate(results)]
+    assert (sum(seen[30:]) > 20) == wanted
