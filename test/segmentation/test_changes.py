@@ -14,7 +14,7 @@ from turbseg_ros.parameters import Parameters
 from turbseg_ros.segmentation.background import unmasked
 from turbseg_ros.segmentation.blobs import blobs_in
 from turbseg_ros.segmentation.camera_state import CameraState, CameraTrack
-from turbseg_ros.segmentation.changes import Changes, changed_blobs, changes_in
+from turbseg_ros.segmentation.changes import Changes, SceneChanges, changed_blobs
 from turbseg_ros.segmentation.cropped_mask import CroppedMask
 from turbseg_ros.segmentation.geometry import translation
 from turbseg_ros.segmentation.preparation import PreparedFrame
@@ -56,34 +56,40 @@ def window_of(
 
 
 def test_a_car_on_rough_ground_stands_out_in_its_change_though_not_in_the_picture() -> None:
-    past = [ground_with_car(x, seed) for seed, x in enumerate((20.0, 35.0, 50.0), 1)]
-    now = ground_with_car(80.0)
-    np.testing.assert_allclose(changed_blobs(now, past).points[0], (83.5, 60.5), atol=1.5)
-    assert changed_blobs(now, past).contrast[0] > 10
-    strongest = blobs_in(now).points[:3]
+    found = changed_blobs(ground_with_car(80.0), ground_with_car(None, 1))
+    np.testing.assert_allclose(found.points[0], (83.5, 60.5), atol=1.5)
+    assert found.contrast[0] > 10
+    strongest = blobs_in(ground_with_car(80.0)).points[:3]
     assert np.linalg.norm(strongest - (83.5, 60.5), axis=1).min() > 5
 
 
 def test_where_nothing_changed_but_noise_nothing_stands_out() -> None:
-    assert not len(
-        changed_blobs(ground_with_car(None), [ground_with_car(None, k) for k in (1, 2, 3)]).points
-    )
+    assert not len(changed_blobs(ground_with_car(None), ground_with_car(None, 1)).points)
 
 
 def test_what_has_left_does_not_stand_out() -> None:
-    # It stood there in two of the three, and is elsewhere now.
-    past = [ground_with_car(x, seed) for seed, x in enumerate((20.0, 20.0, 50.0), 1)]
-    found = changed_blobs(ground_with_car(80.0), past).points
+    found = changed_blobs(ground_with_car(80.0), ground_with_car(20.0, 1)).points
     assert len(found) == 1
     assert found[0][0] > 70
 
 
 @pytest.mark.parametrize("pan", [0.0, 0.2])
 def test_changes_are_told_in_the_newest_frame_of_a_window(pan: float) -> None:
-    changes = changes_in(window_of(40, pan=pan), [])
+    changes = SceneChanges().newest(window_of(40, pan=pan), [])
     np.testing.assert_allclose(changes.blobs.points[0], (62.5 + 39 * pan, 60.5), atol=2.0)
     assert changes.known is not None
     assert not changes.known.any()
+
+
+def test_the_past_is_looked_at_anew_as_time_goes_on() -> None:
+    changes = SceneChanges()
+    whole = window_of(60, pan=0.2)
+    window = FrameWindow(12, 100, memory=48, key_step=3)
+    for index in range(60):
+        window.append(whole[index])
+        found = changes.newest(window, []).blobs
+        if index >= 24:
+            np.testing.assert_allclose(found.points[0], (23.5 + 1.2 * index, 60.5), atol=2.0)
 
 
 @pytest.mark.parametrize(
@@ -97,7 +103,7 @@ def test_changes_are_told_in_the_newest_frame_of_a_window(pan: float) -> None:
     ids=["too young", "slewing", "lost", "far away"],
 )
 def test_nothing_is_compared_where_the_past_does_not_tell(window: FrameWindow) -> None:
-    assert changes_in(window, []) == Changes()
+    assert SceneChanges().newest(window, []) == Changes()
 
 
 def test_nothing_is_compared_where_no_blobs_are_looked_for() -> None:
@@ -105,7 +111,7 @@ def test_nothing_is_compared_where_no_blobs_are_looked_for() -> None:
     newest = window_of(40).newest
     assert newest is not None
     window.append(replace(newest, blobs=()))
-    assert changes_in(window, []) == Changes()
+    assert SceneChanges().newest(window, []) == Changes()
 
 
 def test_known_are_the_cells_of_objects_now_and_in_the_frames_compared_with() -> None:
@@ -115,7 +121,7 @@ def test_known_are_the_cells_of_objects_now_and_in_the_frames_compared_with() ->
     now[80:88, 100:108] = True
     for index in window.earlier(39, 36):
         window.mark_objects(index, [CroppedMask.of(before)])
-    known = changes_in(window, [CroppedMask.of(now)]).known
+    known = SceneChanges().newest(window, [CroppedMask.of(now)]).known
     assert known is not None
     assert known[11, 6]
     assert known[21, 26]
@@ -136,7 +142,7 @@ def test_the_scene_cancels_though_the_camera_moves() -> None:
             )
         )
     # A car stands out by more than 10; by 5 a target is believed.
-    assert (changes_in(window, []).blobs.strength < 5.0).all()
+    assert (SceneChanges().newest(window, []).blobs.strength < 5.0).all()
 
 
 @pytest.mark.parametrize("wanted", [True, False])

@@ -94,7 +94,8 @@ def blobs_in(grey: ByteImage) -> Blobs:
     if min(grey.shape) <= 2 * _MARGIN:
         return NO_BLOBS
     # Grey values in sixteenths, for means of small squares are no whole numbers.
-    values = cv2.multiply(grey, float(_FRACTIONS), dtype=cv2.CV_16U)
+    values = grey.astype(np.uint16)
+    values *= np.uint16(_FRACTIONS)
     mean = cv2.blur(values, (SMALL, SMALL))
     size = _standing_out(mean, _AROUND)
     least = _STANDS_OUT * _ROUNDING * _FRACTIONS

@@ -29,6 +29,12 @@ from turbseg_ros.segmentation.window import FrameWindow
 _SPAN, _SHORTEST = 36, 12
 # Widths of the picture by which an earlier frame may lie aside.
 _NEAR = 0.1
+# Pixels by which it may lie aside and is taken as it is.
+_SAME = 0.1
+# Frames after which the past is looked at anew.
+_RENEWED = 4
+# Every so many pixels at detail resolution it is asked whether a known object is there.
+_EVERY = 4
 # By so many times what changes nearby a blob stands out.
 _STANDS_OUT = 3.5
 # Share of its change that the picture itself must show: what has left isn't there.
@@ -52,29 +58,67 @@ class Changes:
 NO_CHANGES = Changes()
 
 
-def changes_in(window: FrameWindow, objects: Sequence[CroppedMask]) -> Changes:
-    """Return what stands out in the change of a window's newest frame, if that is looked for.
+@dataclass(frozen=True)
+class _Past:
+    """What the scene looked like before, as the frame of an index sees it.
 
-    :param objects: known objects as they should be in it, at detail resolution.
+    `median` is HxW at processing resolution, `known` the cells of known objects then, hxw.
     """
-    frame = window.newest
-    if frame is None or not frame.blobs:
-        return NO_CHANGES
-    if frame.camera.state in (CameraState.SLEWING, CameraState.LOST):
-        return NO_CHANGES
-    earlier = _earlier(window, frame.index)
+
+    index: int
+    median: ByteImage
+    known: Mask
+
+
+class SceneChanges:
+    """Tells what stands out in the change of each frame from the scene's past."""
+
+    def __init__(self) -> None:
+        self._past: _Past | None = None
+
+    def newest(self, window: FrameWindow, objects: Sequence[CroppedMask]) -> Changes:
+        """Return what stands out in the change of a window's newest frame, if that is looked for.
+
+        :param objects: known objects as they should be in it, at detail resolution.
+        """
+        frame = window.newest
+        if frame is None or not frame.blobs:
+            return NO_CHANGES
+        if frame.camera.state in (CameraState.SLEWING, CameraState.LOST):
+            return NO_CHANGES
+        if self._past is None or not _serves(self._past, window, frame):
+            self._past = _past_of(window, frame.index)
+        past = self._past
+        if past is None:
+            return NO_CHANGES
+        to_past = window.transform(frame.index, past.index)
+        size = frame.detail.shape[1], frame.detail.shape[0]
+        known = cells_of_objects(objects, size, frame.grey.shape)
+        known |= align(past.known.view(np.uint8), in_cells(to_past)) > 0
+        median = _aligned(past.median, to_past)
+        return Changes(changed_blobs(frame.grey, median), known)
+
+
+def _serves(past: _Past, window: FrameWindow, frame: PreparedFrame) -> bool:
+    """Whether a past is recent enough, and of the view of a frame."""
+    recent = frame.index - past.index < _RENEWED
+    return recent and past.index in window.earlier(frame.index, _RENEWED)
+
+
+def _past_of(window: FrameWindow, index: int) -> _Past | None:
+    """Return what the scene looked like before a frame; None where too little is known."""
+    earlier = _earlier(window, index)
     if not earlier:
-        return NO_CHANGES
-    transforms = window.transforms_from(frame.index)
-    height, width = frame.grey.shape
-    if any(corner_displacement(transforms[k], (width, height)) > _NEAR * width for k in earlier):
-        return NO_CHANGES
-    past = [align(window[k].grey, transforms[k]) for k in earlier]
-    size = frame.detail.shape[1], frame.detail.shape[0]
-    known = cells_of_objects(objects, size, frame.grey.shape)
-    for k in earlier:
-        known |= _hidden(window[k], transforms[k])
-    return Changes(changed_blobs(frame.grey, past), known)
+        return None
+    transforms = window.transforms_from(index)
+    height, width = window[index].grey.shape
+    aside = (corner_displacement(transforms[k], (width, height)) for k in earlier)
+    if max(aside) > _NEAR * width:
+        return None
+    first, second, third = (_aligned(window[k].grey, transforms[k]) for k in earlier)
+    median = cv2.max(cv2.min(first, second), cv2.min(cv2.max(first, second), third))
+    hidden = [_hidden(window[k], transforms[k]) for k in earlier]
+    return _Past(index, np.asarray(median), np.logical_or.reduce(hidden))
 
 
 def _hidden(frame: PreparedFrame, to_frame: Matrix) -> Mask:
@@ -83,12 +127,21 @@ def _hidden(frame: PreparedFrame, to_frame: Matrix) -> Mask:
     :param to_frame: takes processing pixels to that frame's.
     """
     rows, columns = cells_of(frame.grey.shape)
-    hidden = frame.scene.image[..., -1]
+    # Each is wider than that, and to look at all pixels takes long.
+    hidden = frame.scene.image[::_EVERY, ::_EVERY, -1]
     if not frame.objects_known or not hidden.any():
         return np.zeros((rows, columns), bool)
     held = cv2.resize(hidden, (columns, rows), interpolation=cv2.INTER_AREA)
     held = cv2.dilate(align(held, in_cells(to_frame)), np.ones((3, 3), np.uint8))
     return np.asarray(held > 0)
+
+
+def _aligned(grey: ByteImage, to_image: Matrix) -> ByteImage:
+    """Return an earlier picture as a frame would show it, whose pixels are taken to its."""
+    height, width = grey.shape
+    return (
+        grey if corner_displacement(to_image, (width, height)) < _SAME else align(grey, to_image)
+    )
 
 
 def _earlier(window: FrameWindow, index: int) -> list[int]:
@@ -102,14 +155,12 @@ def _earlier(window: FrameWindow, index: int) -> list[int]:
     return sorted(nearest) if len(nearest) == len(wanted) else []
 
 
-def changed_blobs(grey: ByteImage, past: Sequence[ByteImage]) -> Blobs:
-    """Return what stands out in the difference of a picture from the median of three others.
+def changed_blobs(grey: ByteImage, past: ByteImage) -> Blobs:
+    """Return what stands out in the difference of a picture from its past.
 
-    :param grey: HxW; the others are as large, and aligned to it.
+    :param grey: HxW; the past is as large, and aligned to it.
     """
-    first, second, third = past
-    median = cv2.max(cv2.min(first, second), cv2.min(cv2.max(first, second), third))
-    blobs = blobs_in(np.asarray(cv2.addWeighted(grey, 1.0, median, -1.0, _UNCHANGED)))
+    blobs = blobs_in(np.asarray(cv2.addWeighted(grey, 1.0, past, -1.0, _UNCHANGED)))
     blobs = blobs.chosen(blobs.strength > _STANDS_OUT)
     return blobs.chosen(_shown(grey, blobs) > _SHOWN * np.abs(blobs.contrast))
 

@@ -19,7 +19,7 @@ import numpy as np
 from turbseg_ros.arrays import Mask, Matrix
 from turbseg_ros.segmentation.blobs import MOST, SCALES, SMALL, Blobs, Numbers, Points
 from turbseg_ros.segmentation.camera_state import CameraState
-from turbseg_ros.segmentation.changes import NO_CHANGES, Changes, changes_in
+from turbseg_ros.segmentation.changes import NO_CHANGES, Changes, SceneChanges
 from turbseg_ros.segmentation.clutter import CELL
 from turbseg_ros.segmentation.cropped_mask import CroppedMask
 from turbseg_ros.segmentation.geometry import scaling
@@ -80,6 +80,7 @@ class TargetPyramid:
         numbers = itertools.count(1)
         self._tracks = [TargetTracks(scale, numbers) for scale in SCALES]
         self._changing = TargetTracks(1, numbers, standing=self._tracks[0])
+        self._changes = SceneChanges()
 
     def follow(
         self, window: FrameWindow, objects: Sequence[CroppedMask], overlay: Mask | None
@@ -91,7 +92,7 @@ class TargetPyramid:
         """
         frame = window.newest
         if frame is not None:
-            changes = changes_in(window, objects)
+            changes = self._changes.newest(window, objects)
             state = frame.camera.state
             self.take(frame.blobs, frame.from_previous, state, overlay, changes)
 
