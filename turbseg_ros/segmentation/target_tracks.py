@@ -335,13 +335,13 @@ class TargetTracks:
             there = np.nonzero(self._standing._hits >= _SURE)[0]
             followed = followed.held_against(self._standing._followed(there))
         moved = have_moved(followed, _EVERY, MOST, self._since_lost)[: len(known)]
-        # Where most of what stands out moves, it is the scene, and the camera is known badly.
         places = self._scale * self._places[known]
         if self._restless is not None:
             for k in np.nonzero(moved)[0]:
                 recent = self._seen_at(known[k])[-_LATELY:]
                 moved[k] = self._restless.sightings(recent) <= _RESTLESS
         elif moved.any() and parts_of(places[moved]) > max(parts_of(places[~moved]), 1):
+            # Where most of what stands out moves, it is the scene, and the camera is known badly.
             moved[:] = False
         for_frames = np.where(moved, np.maximum(self._moved_for[known], 1), 0)
         self._moved_for[:] = 0
