@@ -28,9 +28,11 @@ _MIN_DISPLACEMENT, _MIN_DISPLACEMENT_ALONE, _DRIFT = 2.0, 3.0, 0.015
 _LONG, _STRONG = 24, 15.0
 # The same of what is larger: the middle of many pixels wanders less, and is seldom noise.
 _LARGE_LONG, _LARGE_STRONG = 12, 4.0
-# The same of what is told by what has changed: the scene isn't seen there at all. Pixels a frame
-# that it must go at least, over so many frames: what is faster than that isn't parallax.
-_CHANGED_LONG, _CHANGED_STRONG = 12, 5.0
+CHANGED_STRONG = 5.0
+"""The least strength of what is told by what has changed: the scene isn't seen there at all."""
+# The fewest frames of it. Pixels a frame that it must go at least, over so many frames: what is
+# faster than that isn't parallax.
+_CHANGED_LONG = 12
 _CREEP, _CREEP_SPAN = 0.125, 24
 # Pixels over its strength by which the place of what is faint wanders with what lies behind it.
 _WIDTH = 3.5
@@ -158,7 +160,7 @@ def have_moved(targets: FollowedTargets, every: int, tests: int, camera_known: i
 def _enough(targets: FollowedTargets) -> tuple[int, float]:
     """Return the fewest frames and the least strength of what little else speaks for."""
     if targets.changed is not None:
-        return _CHANGED_LONG, _CHANGED_STRONG
+        return _CHANGED_LONG, CHANGED_STRONG
     return (_LONG, _STRONG) if targets.scale == 1 else (_LARGE_LONG, _LARGE_STRONG)
 
 

@@ -25,6 +25,7 @@ from turbseg_ros.segmentation.cropped_mask import CroppedMask
 from turbseg_ros.segmentation.geometry import scaling
 from turbseg_ros.segmentation.restless_places import RestlessPlaces
 from turbseg_ros.segmentation.target_motion import (
+    CHANGED_STRONG,
     Counts,
     FollowedTargets,
     have_moved,
@@ -320,8 +321,9 @@ class TargetTracks:
                 return
             self._restless = RestlessPlaces(known.shape)
         self._restless.propagate(ego_motion)
-        for number in np.nonzero(ended & (self._moved_for == 0))[0].tolist():
-            self._restless.remember(self._seen_at(number))
+        nowhere = ended & (self._moved_for == 0)
+        seen = ~np.isnan(self._raw[nowhere, :, 0])
+        self._restless.remember(self._paths[nowhere][seen])
 
     def _seen_at(self, number: int) -> Points:
         """Return the places at which one was seen, Tx2, the oldest first."""
@@ -329,9 +331,12 @@ class TargetTracks:
 
     def _judge(self) -> None:
         """Tell which tracks have moved significantly."""
-        known = np.nonzero(self._hits >= _SURE)[0]
-        followed = self._followed(known)
+        sure = self._hits >= _SURE
         if self._standing is not None:
+            sure &= self._strengths > CHANGED_STRONG
+        known = np.nonzero(sure)[0]
+        followed = self._followed(known)
+        if self._standing is not None and len(known):
             there = np.nonzero(self._standing._hits >= _SURE)[0]
             followed = followed.held_against(self._standing._followed(there))
         moved = have_moved(followed, _EVERY, MOST, self._since_lost)[: len(known)]
