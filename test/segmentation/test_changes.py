@@ -36,18 +36,24 @@ def ground_with_car(x: float | None, seed: int = 0, width: int = 8) -> ByteImage
 
 
 def window_of(
-    frames: int, speed: float = 1.0, state: CameraState = CameraState.STILL, pan: float = 0.0
+    frames: int,
+    speed: float | None = 1.0,
+    state: CameraState = CameraState.STILL,
+    pan: float = 0.0,
+    tilt: float = 0.0,
 ) -> FrameWindow:
-    """A window in which a car drives from column 20 on, before a camera that may pan."""
+    """A window in which a car, if any, drives from column 20 on, before a camera that may turn."""
     window = FrameWindow(12, 100, memory=48, key_step=3)
     for index in range(frames):
-        seen = align(ground_with_car(20 + speed * index, index), translation(-pan * index, 0.0))
+        car = None if speed is None else 20 + speed * index
+        turn = translation(-pan * index, -tilt * index)
+        seen = align(ground_with_car(car, index), turn)
         window.append(
             PreparedFrame(
                 index=index,
                 grey=seen,
                 scene=unmasked(seen),
-                from_previous=translation(pan, 0.0),
+                from_previous=translation(pan, tilt),
                 camera=CameraTrack(state),
                 blobs=(blobs_in(seen),),
             )
@@ -129,18 +135,7 @@ def test_known_are_the_cells_of_objects_now_and_in_the_frames_compared_with() ->
 
 
 def test_the_scene_cancels_though_the_camera_moves() -> None:
-    window = FrameWindow(12, 100, memory=48, key_step=3)
-    for index in range(40):
-        seen = align(ground_with_car(None, index), translation(-0.3 * index, 0.1 * index))
-        window.append(
-            PreparedFrame(
-                index=index,
-                grey=seen,
-                scene=unmasked(seen),
-                from_previous=translation(0.3, -0.1),
-                blobs=(blobs_in(seen),),
-            )
-        )
+    window = window_of(40, speed=None, pan=0.3, tilt=-0.1)
     # A car stands out by more than 10; by 5 a target is believed.
     assert (SceneChanges().newest(window, []).blobs.strength < 5.0).all()
 

@@ -86,7 +86,8 @@ class SceneChanges:
             return NO_CHANGES
         if frame.camera.state in (CameraState.SLEWING, CameraState.LOST):
             return NO_CHANGES
-        if self._past is None or not _serves(self._past, window, frame):
+        lately = window.earlier(frame.index, _RENEWED - 1)
+        if self._past is None or self._past.index not in lately:
             self._past = _past_of(window, frame.index)
         past = self._past
         if past is None:
@@ -97,12 +98,6 @@ class SceneChanges:
         known |= align(past.known.view(np.uint8), in_cells(to_past)) > 0
         median = _aligned(past.median, to_past)
         return Changes(changed_blobs(frame.grey, median), known)
-
-
-def _serves(past: _Past, window: FrameWindow, frame: PreparedFrame) -> bool:
-    """Whether a past is recent enough, and of the view of a frame."""
-    recent = frame.index - past.index < _RENEWED
-    return recent and past.index in window.earlier(frame.index, _RENEWED)
 
 
 def _past_of(window: FrameWindow, index: int) -> _Past | None:

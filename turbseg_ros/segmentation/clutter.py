@@ -120,6 +120,18 @@ def in_cells(transform: Matrix) -> Matrix:
     return result
 
 
+def at_points(cells: npt.NDArray[Any], points: npt.NDArray[np.float64]) -> npt.NDArray[Any]:
+    """Return the values of the cells that points lie in, N; of the nearest for those outside.
+
+    :param cells: hxw.
+    :param points: Nx2 (x, y) at processing resolution.
+    """
+    column, row = (points.T // CELL).astype(int)
+    rows, columns = cells.shape
+    values: npt.NDArray[Any] = cells[np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)]
+    return values
+
+
 def enlarged(cells: Mask, shape: tuple[int, ...]) -> Mask:
     """Return cells, hxw, as pixels of a frame whose shape begins with rows and columns."""
     size = shape[1], shape[0]

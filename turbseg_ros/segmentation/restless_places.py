@@ -10,7 +10,7 @@ import numpy as np
 
 from turbseg_ros.arrays import Map, Matrix
 from turbseg_ros.segmentation.blobs import Points
-from turbseg_ros.segmentation.clutter import CELL, in_cells
+from turbseg_ros.segmentation.clutter import CELL, at_points, in_cells
 
 # Share of what is remembered that is left a frame later.
 _KEPT = 0.98
@@ -45,7 +45,4 @@ class RestlessPlaces:
     def sightings(self, places: Points) -> float:
         """Return how often, of late, something stood out around places, Nx2, on average."""
         around = cv2.boxFilter(self._seen, -1, (3, 3), normalize=False)
-        rows, columns = self._seen.shape
-        column, row = (places.T // CELL).astype(int)
-        there = around[np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)]
-        return float(there.mean())
+        return float(at_points(around, places).mean())

@@ -20,7 +20,7 @@ from turbseg_ros.arrays import Mask, Matrix
 from turbseg_ros.segmentation.blobs import MOST, SCALES, SMALL, Blobs, Numbers, Points
 from turbseg_ros.segmentation.camera_state import CameraState
 from turbseg_ros.segmentation.changes import NO_CHANGES, Changes, SceneChanges
-from turbseg_ros.segmentation.clutter import CELL
+from turbseg_ros.segmentation.clutter import at_points
 from turbseg_ros.segmentation.cropped_mask import CroppedMask
 from turbseg_ros.segmentation.geometry import scaling
 from turbseg_ros.segmentation.restless_places import RestlessPlaces
@@ -188,7 +188,8 @@ class TargetTracks:
         self._remember_restless(~kept, ego_motion, known)
         if not kept.all():
             self._keep(kept)
-        self._begin(blobs, ~taken & _outside(known, blobs.points))
+        free = ~taken if known is None else ~taken & ~at_points(known, blobs.points)
+        self._begin(blobs, free)
         if self._count % _EVERY == 0 and state is not CameraState.SLEWING:
             self._judge()
 
@@ -218,10 +219,7 @@ class TargetTracks:
         if overlay is None or not overlay.any():
             return blobs
         near = cv2.dilate(overlay.view(np.uint8), np.ones((3, 3), np.uint8)) > 0
-        column, row = (self._scale * blobs.points.T // CELL).astype(int)
-        rows, columns = near.shape
-        scene = ~near[np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)]
-        return blobs.chosen(scene)
+        return blobs.chosen(~at_points(near, self._scale * blobs.points))
 
     def _propagate(self, ego_motion: Matrix) -> None:
         linear, shift = ego_motion[:2, :2].T, ego_motion[:2, 2]
@@ -362,12 +360,3 @@ class TargetTracks:
             self._moved_for[which] > 0,
             self._scale,
         )
-
-
-def _outside(cells: Mask | None, points: Points) -> Mask:
-    """Return which points, Nx2 (x, y) at processing resolution, lie in none of some cells, hxw."""
-    if cells is None:
-        return np.ones(len(points), bool)
-    rows, columns = cells.shape
-    column, row = (points.T // CELL).astype(int)
-    return ~cells[np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)]
