@@ -2,25 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
-import cv2
 import numpy as np
 import pytest
 
 from support.drawn_clip import segmented
-from support.drawn_sky import SHAPE, sky_with_dots
+from support.drawn_sky import LAMPS, SHAPE, START, Place, sky_with_dots, straight
 from turbseg_ros.parameters import Parameters
-from turbseg_ros.segmentation.blobs import NO_BLOBS, blob_pyramid, blobs_in
+from turbseg_ros.segmentation.blobs import NO_BLOBS, blobs_in
 from turbseg_ros.segmentation.camera_state import CameraState
 from turbseg_ros.segmentation.geometry import translation
-from turbseg_ros.segmentation.target_tracks import TargetPyramid, TargetTracks
-
-# Lamps that stand still, and where the target begins (x, y).
-LAMPS = [(20.0, 100.0), (60.0, 104.0), (100.0, 98.0), (150.0, 102.0), (130.0, 60.0)]
-START = (40.0, 40.0)
-
-Place = Callable[[int], tuple[float, float]]
+from turbseg_ros.segmentation.target_tracks import TargetTracks
 
 
 def followed(
@@ -32,10 +23,6 @@ def followed(
         seen = sky_with_dots([*lamps, target(index)], index)
         tracks.take(blobs_in(seen), translation(drift if index else 0.0, 0.0))
     return tracks
-
-
-def straight(speed: float) -> Place:
-    return lambda index: (START[0] + speed * index, START[1])
 
 
 @pytest.mark.parametrize("speed", [0.06, 0.5, 3.0])
@@ -152,120 +139,3 @@ def test_small_targets_are_reported_only_when_they_are_wanted(wanted: bool) -> N
     pictures = [sky_with_dots([*LAMPS, straight(0.5)(index)], index) for index in range(48)]
     found = [moving for result in segmented(pictures, parameters) for moving in result.objects]
     assert bool(found) is wanted
-
-
-def boat_on_a_sea(places: Place, sea: float, frames: int) -> TargetPyramid:
-    """Return what was followed of a dark boat on a plain sea before a camera that pans.
-
-    :param places: where the boat is in the picture, by frames.
-    :param sea: pixels that the sea moves by in the picture a frame.
-    """
-    targets = TargetPyramid()
-    for index in range(frames):
-        picture = np.random.default_rng(index).normal(120.0, 1.0, (240, 320))
-        x, y = places(index)
-        cv2.circle(picture, (round(x), round(y)), 10, 60.0, cv2.FILLED)
-        seen = np.clip(np.rint(picture), 0, 255).astype(np.uint8)
-        targets.take(blob_pyramid(seen), translation(sea if index else 0.0, 0.0))
-    return targets
-
-
-@pytest.mark.parametrize(
-    ("speed", "sea", "moves"),
-    [
-        (1.0, 0.0, True),
-        (-0.2, -1.5, True),
-        (-0.5, -1.5, True),
-        (-1.0, -1.5, False),
-        (-1.5, -1.5, False),
-    ],
-    ids=["crosses", "followed", "followed worse", "parallax", "scene"],
-)
-def test_a_large_target_moves_unless_it_may_be_parallax(
-    speed: float, sea: float, moves: bool
-) -> None:
-    def places(index: int) -> tuple[float, float]:
-        return 200.0 + speed * index, 120.0
-
-    found = boat_on_a_sea(places, sea, 40).moving_at(0)
-    assert bool(found) is moves
-    for target in found:
-        assert target.scale > 1
-        assert target.frames > 4
-        np.testing.assert_allclose(target.place, places(39), atol=2.0)
-        np.testing.assert_allclose(target.velocity, (speed - sea, 0.0), atol=0.3)
-
-
-def test_targets_of_all_scales_have_numbers_of_their_own() -> None:
-    targets = TargetPyramid()
-    for index in range(40):
-        picture = np.full((240, 320), 120, np.uint8)
-        cv2.circle(picture, (60 + 2 * index, 60), 10, 60, cv2.FILLED)
-        cv2.circle(picture, (60 + 2 * index, 160), 1, 220, cv2.FILLED)
-        targets.take(blob_pyramid(picture), np.eye(3))
-    found = targets.moving_at(0)
-    assert {1} < {target.scale for target in found}
-    assert len({target.number for target in found}) == len(found)
-
-
-def test_nothing_is_followed_where_no_blobs_are_looked_for() -> None:
-    targets = TargetPyramid()
-    targets.take((), np.eye(3))
-    assert targets.moving_at(0) == []
-
-
-def changing(
-    target: Place, frames: int, drift: float = 0.0, known: np.ndarray | None = None
-) -> TargetTracks:
-    """Return tracks of what changes: a target that is in no single picture, before lamps.
-
-    :param drift: by which registration errs in each frame.
-    :param known: cells of known objects.
-    """
-    standing = TargetTracks()
-    tracks = TargetTracks(standing=standing)
-    cells = np.zeros((SHAPE[0] // 4, SHAPE[1] // 4), bool) if known is None else known
-    for index in range(frames):
-        motion = translation(drift if index else 0.0, 0.0)
-        standing.take(blobs_in(sky_with_dots(LAMPS, index)), motion)
-        tracks.take(blobs_in(sky_with_dots([target(index)], index)), motion, known=cells)
-    return tracks
-
-
-def test_what_changes_moves_once_it_has_gone_for_half_a_second() -> None:
-    assert changing(straight(1.0), 8).moving_at(0) == []
-    (found,) = changing(straight(1.0), 24).moving_at(0)
-    np.testing.assert_allclose(found.place, straight(1.0)(23), atol=0.7)
-    assert found.by_change
-
-
-@pytest.mark.parametrize("speed", [0.0, 0.06])
-def test_what_changes_but_hardly_moves_is_no_target(speed: float) -> None:
-    assert changing(straight(speed), 96).moving_at(0) == []
-
-
-def test_what_changes_is_held_against_what_stands_in_the_picture() -> None:
-    # It stands, and registration says that the scene moves.
-    assert changing(straight(0.0), 48, drift=0.3).moving_at(0) == []
-    (found,) = changing(straight(1.0), 48, drift=0.3).moving_at(0)
-    np.testing.assert_allclose(found.place, straight(1.0)(47), atol=0.7)
-
-
-def test_no_target_begins_where_known_objects_are_or_were() -> None:
-    everywhere = np.ones((SHAPE[0] // 4, SHAPE[1] // 4), bool)
-    assert changing(straight(1.0), 24, known=everywhere).moving_at(0) == []
-
-
-def test_no_target_is_believed_where_changes_keep_going_nowhere() -> None:
-    def foam(index: int) -> tuple[float, float]:
-        # A wave breaks here every eight frames, for six of them, and runs on for some pixels.
-        wave, since = divmod(index, 8)
-        x = START[0] + 2.0 * since + 3.0 * (wave % 4)
-        return (x, START[1]) if since < 6 else (-50.0, -50.0)
-
-    def then_a_boat(index: int) -> tuple[float, float]:
-        return foam(index) if index < 200 else (START[0] + 0.5 * (index - 200), START[1])
-
-    assert changing(then_a_boat, 224).moving_at(0) == []
-    (found,) = changing(lambda index: then_a_boat(index + 200), 24).moving_at(0)
-    assert found.place[0] > START[0] + 10

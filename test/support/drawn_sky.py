@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from turbseg_ros.arrays import ByteImage
 
 SHAPE = (120, 180)
+# Lamps that stand still, and where a target begins (x, y).
+LAMPS = [(20.0, 100.0), (60.0, 104.0), (100.0, 98.0), (150.0, 102.0), (130.0, 60.0)]
+START = (40.0, 40.0)
+
+Place = Callable[[int], tuple[float, float]]
+"""Where a target is, by the number of the frame."""
 
 
 def sky_with_dots(
@@ -21,3 +27,8 @@ def sky_with_dots(
         sky += contrast * np.exp(-((x - each[0]) ** 2 + (y - each[1]) ** 2) / 3.0)
     noisy = sky + np.random.default_rng(seed).normal(0.0, 1.0, SHAPE)
     return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+
+
+def straight(speed: float) -> Place:
+    """Return the places of what goes to the right by so many pixels a frame."""
+    return lambda index: (START[0] + speed * index, START[1])

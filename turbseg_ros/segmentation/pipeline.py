@@ -6,7 +6,7 @@
              seeds                     region_growing.seed_strength; evidence.PictureEvidence
     eq. 3    seeded region growing     region_growing.similar_velocity; similar_magnitude
              what comes closer         velocity_memory, expansion.expanded (not in the paper)
-             targets                   target_tracks.TargetPyramid (not in the paper)
+             targets                   target_pyramid.TargetPyramid (not in the paper)
              what stands out           standing_out.standing_areas (not in the paper)
     eq. 4    mask ids                  kalman_tracker.KalmanTracker; kmeans_ids.kmeans_ids
     eq. 5-9  refinement                outliner.RefinedDifference; learning.clip_refinement
@@ -42,7 +42,7 @@ from turbseg_ros.segmentation.registration import without_vote
 from turbseg_ros.segmentation.resolution import Resolution
 from turbseg_ros.segmentation.scene_memory import SceneMemory
 from turbseg_ros.segmentation.strategies import Strategies
-from turbseg_ros.segmentation.target_tracks import TargetPyramid
+from turbseg_ros.segmentation.target_pyramid import TargetPyramid
 
 
 class Pipeline:

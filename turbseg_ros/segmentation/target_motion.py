@@ -7,6 +7,8 @@ parts, of which one has a say.
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,8 +70,7 @@ class FollowedTargets:
     frame, from the one where each was first seen and NaN before; `sightings` the same as they
     came, NaN where not seen. `places`, Nx2, are where they are now, `strengths` how clearly they
     stand out; `moved`, N, which were found to move before. Pixels are those of a picture `scale`
-    times smaller than at processing resolution. `changed`, N, are those told by what has changed:
-    they alone are judged then, against the others; None where all are judged by one another.
+    times smaller than at processing resolution.
     """
 
     paths: Points
@@ -78,19 +79,48 @@ class FollowedTargets:
     strengths: Numbers
     moved: Mask
     scale: int = 1
-    changed: Mask | None = None
 
-    def held_against(self, standing: FollowedTargets) -> FollowedTargets:
-        """Return both, these as what has changed; all have the same scale."""
-        return FollowedTargets(
-            paths=np.concatenate([self.paths, standing.paths]),
-            sightings=np.concatenate([self.sightings, standing.sightings]),
-            places=np.concatenate([self.places, standing.places]),
-            strengths=np.concatenate([self.strengths, standing.strengths]),
-            moved=np.concatenate([self.moved, standing.moved]),
-            scale=self.scale,
-            changed=np.arange(len(self.paths) + len(standing.paths)) < len(self.paths),
-        )
+    @functools.cached_property
+    def tracked(self) -> _Paths:
+        """Their paths, to be measured."""
+        return _Paths(self.paths)
+
+    @functools.cached_property
+    def jitters(self) -> Mask:
+        """Which of them aren't fixed to the picture, N."""
+        return np.asarray(_deviations(self.sightings).max(axis=1) > _JITTERS)
+
+    @functools.cached_property
+    def lengths(self) -> Numbers:
+        """How far each has come, N."""
+        return np.linalg.norm(self.tracked.displacements, axis=1)
+
+    @functools.cached_property
+    def stands(self) -> Mask:
+        """Which of them the others may be held against, N."""
+        return ~self.moved & (self.jitters | (self.lengths < _BURNT_IN))
+
+    @functools.cached_property
+    def drift(self) -> float:
+        """By how much registration displaces what stands, in pixels."""
+        return _scatter(self.tracked.displacements[~self.moved])
+
+
+@dataclass(frozen=True)
+class _Standard:
+    """What is asked of a kind of target before it is believed to move.
+
+    :param frames: those that it must have been followed for, where little else speaks for it;
+        `strength` is the least then.
+    :param always: whether that is asked where others stand near, too.
+    :param is_other: whether a target's path, by its number and the frames that saw it, is rather
+        that of something else than an object.
+    """
+
+    frames: int
+    strength: float
+    always: bool = False
+    is_other: Callable[[FollowedTargets, int, Mask], bool] = lambda targets, number, seen: False
 
 
 def have_moved(targets: FollowedTargets, every: int, tests: int, camera_known: int) -> Mask:
@@ -100,55 +130,89 @@ def have_moved(targets: FollowedTargets, every: int, tests: int, camera_known: i
     :param tests: targets that are looked at in each frame.
     :param camera_known: frames for which the camera's motion has been known without a gap.
     """
-    count, moved = len(targets.paths), np.zeros(len(targets.paths), bool)
+    count = len(targets.paths)
     if not count:
-        return moved
-    paths = _Paths(targets.paths)
-    others = np.ones(count, bool) if targets.changed is None else ~targets.changed
-    length = np.linalg.norm(paths.displacements, axis=1)
-    common = np.median(paths.displacements[others], axis=0) if others.any() else np.zeros(2)
-    apart = np.linalg.norm(paths.displacements - common, axis=1)
+        return np.zeros(0, bool)
+    apart = _apart(targets, targets)
     still = targets.scale * targets.places[apart < 2.0 * _MIN_DISPLACEMENT]
-    crowded = targets.changed is None and count > _FEWEST
-    if crowded and not (len(still) and np.ptp(still, axis=0).max() > _SPREAD):
+    if count > _FEWEST and not (len(still) and np.ptp(still, axis=0).max() > _SPREAD):
         # Registration may hang on one thing, and the scene be what moves.
-        return moved
-    jitters = _deviations(targets.sightings).max(axis=1) > _JITTERS
-    stands = others & ~targets.moved & (jitters | (length < _BURNT_IN))
-    drift = _scatter(paths.displacements[others & ~targets.moved])
+        return np.zeros(count, bool)
+    standard = _SMALL if targets.scale == 1 else _LARGE
     chance = chance_per_test(_FALSE_ALARMS_PER_HOUR, every, tests)
-    long, strong = _enough(targets)
+    return _significant(targets, targets, standard, every, chance, camera_known)
+
+
+def have_come(
+    changes: FollowedTargets,
+    standing: FollowedTargets,
+    every: int,
+    tests: int,
+    camera_known: int,
+) -> Mask:
+    """Return which of the targets told by what has changed have travelled significantly, N.
+
+    See `have_moved`; they are held against what stands in the picture itself.
+
+    :param standing: what stands out in the picture, at the same scale.
+    """
+    if not len(changes.paths):
+        return np.zeros(0, bool)
+    chance = chance_per_test(_FALSE_ALARMS_PER_HOUR, every, tests)
+    return _significant(changes, standing, _CHANGED, every, chance, camera_known)
+
+
+def _apart(targets: FollowedTargets, others: FollowedTargets) -> Numbers:
+    """Return how far targets have come, less what is common to others, N."""
+    common = np.zeros(2)
+    if len(others.paths):
+        common = np.median(others.tracked.displacements, axis=0)
+    return np.linalg.norm(targets.tracked.displacements - common, axis=1)
+
+
+def _significant(
+    targets: FollowedTargets,
+    others: FollowedTargets,
+    standard: _Standard,
+    every: int,
+    chance: float,
+    camera_known: int,
+) -> Mask:
+    """Return which targets have travelled significantly against others near them that stand, N.
+
+    :param others: may be the same.
+    :param chance: how likely a test may be wrong.
+    """
+    moved = np.zeros(len(targets.paths), bool)
+    paths, lengths = targets.tracked, targets.lengths
     # Most stand still, and those need no closer look.
-    far = jitters & (np.maximum(apart, length) > _MIN_DISPLACEMENT / 2.0)
-    if targets.changed is not None:
-        far &= targets.changed
-    for number in np.nonzero(far)[0].tolist():
+    far = np.maximum(_apart(targets, others), lengths) > _MIN_DISPLACEMENT / 2.0
+    for number in np.nonzero(targets.jitters & far)[0].tolist():
         frames = int(paths.frames[number])
         seen = ~np.isnan(targets.sightings[number, :, 0])
         if np.count_nonzero(seen) < _SEEN * frames or not paths.is_straight(number):
             continue
-        there = stands & (paths.frames >= 0.5 * frames)
-        there[number] = False
-        near = _nearest(targets.scale * targets.places, number, np.nonzero(there)[0])
+        there = others.stands & (others.tracked.frames >= 0.5 * frames)
+        if others is targets:
+            there[number] = False
+        place = targets.scale * targets.places[number]
+        near = _nearest(others.scale * others.places, place, np.nonzero(there)[0])
         alone = len(near) < _FEWEST
-        relative = length[[number]] if alone else paths.relative(number, near)
+        relative = lengths[[number]] if alone else paths.relative(number, others.tracked, near)
         least = _MIN_DISPLACEMENT_ALONE if alone else _MIN_DISPLACEMENT
         factor = _STILL_MOVES if targets.moved[number] else 1.0
         if np.mean(relative > factor * least) < _SHARE:
             continue
-        by_itself = alone or targets.changed is not None
-        if by_itself and not (
-            long <= frames <= camera_known and targets.strengths[number] > strong
-        ):
+        believed = (
+            standard.frames <= frames <= camera_known
+            and targets.strengths[number] > standard.strength
+        )
+        if (alone or standard.always) and not believed:
             continue
-        if targets.changed is not None and _creeps(targets.paths[number][seen]):
-            continue
-        if targets.scale > 1 and (
-            _rests(targets.paths[number]) or _passes_with_scene(targets, number, seen)
-        ):
+        if standard.is_other(targets, number, seen):
             continue
         # Ends are means of a few places; drift is that of a displacement, which has two.
-        drifted = _DRIFT * frames if alone else drift
+        drifted = _DRIFT * frames if alone else others.drift
         shakes = jitter(list(targets.paths[number][seen]), 0.0) / 2.0
         faint = _WIDTH / targets.strengths[number]
         own = float(np.linalg.norm([shakes, drifted / np.sqrt(2.0), faint]))
@@ -157,36 +221,36 @@ def have_moved(targets: FollowedTargets, every: int, tests: int, camera_known: i
     return moved
 
 
-def _enough(targets: FollowedTargets) -> tuple[int, float]:
-    """Return the fewest frames and the least strength of what little else speaks for."""
-    if targets.changed is not None:
-        return _CHANGED_LONG, CHANGED_STRONG
-    return (_LONG, _STRONG) if targets.scale == 1 else (_LARGE_LONG, _LARGE_STRONG)
-
-
-def _creeps(path: Points) -> bool:
-    """Whether a target's path, Tx2, has led so slowly lately that it may be parallax."""
-    recent = path[-_CREEP_SPAN:]
-    return bool(np.hypot(*(recent[-1] - recent[0])) < _CREEP * len(recent))
-
-
-def _rests(path: Points) -> bool:
-    """Whether a target's path, Tx2, has led nowhere lately."""
-    return bool(np.hypot(*(path[-1] - path[-1 - _LATELY])) < _RESTS)
-
-
-def _passes_with_scene(targets: FollowedTargets, number: int, seen: Mask) -> bool:
-    """Whether a target's own way is so short beside the scene's that it may be parallax.
-
-    What the camera follows has gone as far as the scene has, against it.
+def _creeps(targets: FollowedTargets, number: int, seen: Mask) -> bool:
+    """Whether a target's path has led so slowly lately that it may be parallax.
 
     :param seen: the frames that show it, T.
     """
+    recent = targets.paths[number][seen][-_CREEP_SPAN:]
+    return bool(np.hypot(*(recent[-1] - recent[0])) < _CREEP * len(recent))
+
+
+def _rests_or_passes(targets: FollowedTargets, number: int, seen: Mask) -> bool:
+    """Whether a target's path has led nowhere lately, or may be parallax.
+
+    It may where it is short beside the scene's; what the camera follows has gone as far as the
+    scene has, against it.
+
+    :param seen: the frames that show it, T.
+    """
+    path = targets.paths[number]
+    if np.hypot(*(path[-1] - path[-1 - _LATELY])) < _RESTS:
+        return True
     first, last = np.nonzero(seen)[0][[0, -1]]
     own, in_picture = (
         way[number, last] - way[number, first] for way in (targets.paths, targets.sightings)
     )
     return bool(np.hypot(*own) < _PARALLAX * np.hypot(*(in_picture - own)))
+
+
+_SMALL = _Standard(_LONG, _STRONG)
+_LARGE = _Standard(_LARGE_LONG, _LARGE_STRONG, is_other=_rests_or_passes)
+_CHANGED = _Standard(_CHANGED_LONG, CHANGED_STRONG, always=True, is_other=_creeps)
 
 
 def parts_of(places: Points) -> int:
@@ -216,11 +280,14 @@ class _Paths:
         there = sums[which, first + end] - sums[which, first]
         return np.asarray((here - there) / end[:, None])
 
-    def relative(self, number: int, others: Indices) -> Numbers:
-        """Return how far one has moved from each of some others, since both were seen."""
-        frames = np.minimum(self.frames[number], self.frames[others])
-        own = self._displacements(np.full_like(others, number), frames)
-        return np.linalg.norm(own - self._displacements(others, frames), axis=1)
+    def relative(self, number: int, others: _Paths, which: Indices) -> Numbers:
+        """Return how far one has moved from each of some others, since both were seen.
+
+        :param others: may be these; `which` are theirs.
+        """
+        frames = np.minimum(self.frames[number], others.frames[which])
+        own = self._displacements(np.full_like(which, number), frames)
+        return np.linalg.norm(own - others._displacements(which, frames), axis=1)
 
     def is_straight(self, number: int) -> bool:
         """Whether one's displacement is a good part of its path length."""
@@ -230,9 +297,9 @@ class _Paths:
         return net < _MIN_DISPLACEMENT or net > _STRAIGHT * float(path_length)
 
 
-def _nearest(places: Points, number: int, others: Indices) -> Indices:
-    """Return the nearest others of one, each in another part of the picture."""
-    nearest = others[np.argsort(np.linalg.norm(places[others] - places[number], axis=1))]
+def _nearest(places: Points, place: Points, which: Indices) -> Indices:
+    """Return the nearest to a place of some others, Nx2, each in another part of the picture."""
+    nearest = which[np.argsort(np.linalg.norm(places[which] - place, axis=1))]
     first: dict[tuple[float, ...], int] = {}
     for part, other in zip((places[nearest] // _PART).tolist(), nearest.tolist(), strict=True):
         first.setdefault(tuple(part), other)

@@ -10,28 +10,24 @@ misled by a camera whose motion is known badly, nor by one that follows the targ
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 from turbseg_ros.arrays import Mask, Matrix
-from turbseg_ros.segmentation.blobs import MOST, SCALES, SMALL, Blobs, Numbers, Points
+from turbseg_ros.segmentation.blobs import MOST, SMALL, Blobs, Numbers, Points
 from turbseg_ros.segmentation.camera_state import CameraState
-from turbseg_ros.segmentation.changes import NO_CHANGES, Changes, SceneChanges
 from turbseg_ros.segmentation.clutter import at_points
-from turbseg_ros.segmentation.cropped_mask import CroppedMask
 from turbseg_ros.segmentation.geometry import scaling
-from turbseg_ros.segmentation.restless_places import RestlessPlaces
 from turbseg_ros.segmentation.target_motion import (
-    CHANGED_STRONG,
     Counts,
     FollowedTargets,
+    Indices,
     have_moved,
     parts_of,
 )
-from turbseg_ros.segmentation.window import FrameWindow
 
 # Frames of a path that are remembered, and those at its end that tell a velocity.
 _MEMORY, _RECENT = 96, 12
@@ -43,11 +39,8 @@ _FEW, _SURE = 4, 8
 _MAX_MISSES = (2, 6)
 # Contrasts of one target differ by no more than this factor.
 _ALIKE = 2.5
-# Every so many frames paths are judged.
-_EVERY = 4
-# Sightings around the places where a change was lately, in so many frames, from which on it is
-# one of many that go nowhere.
-_RESTLESS, _LATELY = 1.0, 24
+EVERY = 4
+"""Every so many frames paths are judged."""
 
 
 @dataclass(frozen=True)
@@ -74,70 +67,17 @@ class Target:
         return self.scale == 1
 
 
-class TargetPyramid:
-    """Follows what stands out at each of the `SCALES`, and in what has changed."""
-
-    def __init__(self) -> None:
-        numbers = itertools.count(1)
-        self._tracks = [TargetTracks(scale, numbers) for scale in SCALES]
-        self._changing = TargetTracks(1, numbers, standing=self._tracks[0])
-        self._changes = SceneChanges()
-
-    def follow(
-        self, window: FrameWindow, objects: Sequence[CroppedMask], overlay: Mask | None
-    ) -> None:
-        """Take what stands out in the newest frame of a window.
-
-        :param objects: known objects as they should be in it, at detail resolution.
-        :param overlay: hxw cells that are no scene; None where none are known.
-        """
-        frame = window.newest
-        if frame is not None:
-            changes = self._changes.newest(window, objects)
-            state = frame.camera.state
-            self.take(frame.blobs, frame.from_previous, state, overlay, changes)
-
-    def take(
-        self,
-        blobs: Sequence[Blobs],
-        ego_motion: Matrix,
-        state: CameraState = CameraState.STILL,
-        overlay: Mask | None = None,
-        changes: Changes = NO_CHANGES,
-    ) -> None:
-        """Take what stands out in the next frame at each scale; see `TargetTracks.take`.
-
-        :param blobs: those of each scale; none where they aren't looked for.
-        """
-        for tracks, found in zip(self._tracks, blobs, strict=False):
-            tracks.take(found, ego_motion, state, overlay)
-        self._changing.take(changes.blobs, ego_motion, state, overlay, changes.known)
-
-    def moving_at(self, age: int) -> list[Target]:
-        """Return the targets that have moved, as seen so many frames before the newest."""
-        tracks = [*self._tracks, self._changing]
-        return [target for each in tracks for target in each.moving_at(age)]
-
-
 class TargetTracks:
     """Follows what stands out at one scale, and tells what of it has moved significantly."""
 
-    def __init__(
-        self,
-        scale: int = 1,
-        numbers: Iterator[int] | None = None,
-        standing: TargetTracks | None = None,
-    ) -> None:
+    _by_change = False
+
+    def __init__(self, scale: int = 1, numbers: Iterator[int] | None = None) -> None:
         """Set up tracks of nothing.
 
         :param scale: by how many times the pictures are smaller than at processing resolution.
         :param numbers: those of the targets to come.
-        :param standing: those of what stands out in the picture itself, where these are of what
-            has changed and are held against them; None where all are held against one another.
         """
-        self._standing = standing
-        # Where changes went nowhere; None before the size is known.
-        self._restless: RestlessPlaces | None = None
         self._scale = scale
         self._new_numbers = itertools.count(1) if numbers is None else numbers
         # Take processing pixels to those of the smaller picture, and back.
@@ -184,13 +124,10 @@ class TargetTracks:
         taken = self._match(blobs)
         self._estimate()
         max_misses = np.choose(np.digitize(self._hits, (_FEW, _RECENT)), (0, *_MAX_MISSES))
-        kept = self._misses <= max_misses
-        self._remember_restless(~kept, ego_motion, known)
-        if not kept.all():
-            self._keep(kept)
+        self._end(self._misses > max_misses)
         free = ~taken if known is None else ~taken & ~at_points(known, blobs.points)
         self._begin(blobs, free)
-        if self._count % _EVERY == 0 and state is not CameraState.SLEWING:
+        if self._count % EVERY == 0 and state is not CameraState.SLEWING:
             self._judge()
 
     def moving_at(self, age: int) -> list[Target]:
@@ -209,7 +146,7 @@ class TargetTracks:
                 int(self._numbers[k]),
                 self._scale,
                 int(self._moved_for[k]),
-                self._standing is not None,
+                self._by_change,
             )
             for k in np.nonzero(seen)[0]
         ]
@@ -282,7 +219,11 @@ class TargetTracks:
         self._places[just] = last[just]
         self._places[steady] = (last[steady] + fitted[steady]) / 2.0
 
-    def _keep(self, kept: Mask) -> None:
+    def _end(self, ended: Mask) -> None:
+        """End some tracks, N."""
+        if not ended.any():
+            return
+        kept = ~ended
         self._paths, self._raw = self._paths[kept], self._raw[kept]
         self._places, self._velocities = self._places[kept], self._velocities[kept]
         self._contrasts, self._strengths = self._contrasts[kept], self._strengths[kept]
@@ -312,45 +253,28 @@ class TargetTracks:
         self._moved_for = np.concatenate([self._moved_for, np.zeros(count, np.int64)])
         self._numbers = np.concatenate([self._numbers, numbers])
 
-    def _remember_restless(self, ended: Mask, ego_motion: Matrix, known: Mask | None) -> None:
-        """Remember the places of changes that end, N, and have gone nowhere."""
-        if self._restless is None:
-            if self._standing is None or known is None:
-                return
-            self._restless = RestlessPlaces(known.shape)
-        self._restless.propagate(ego_motion)
-        nowhere = ended & (self._moved_for == 0)
-        seen = ~np.isnan(self._raw[nowhere, :, 0])
-        self._restless.remember(self._paths[nowhere][seen])
-
-    def _seen_at(self, number: int) -> Points:
-        """Return the places at which one was seen, Tx2, the oldest first."""
-        return np.asarray(self._paths[number][~np.isnan(self._raw[number, :, 0])])
-
     def _judge(self) -> None:
         """Tell which tracks have moved significantly."""
-        sure = self._hits >= _SURE
-        if self._standing is not None:
-            sure &= self._strengths > CHANGED_STRONG
-        known = np.nonzero(sure)[0]
-        followed = self._followed(known)
-        if self._standing is not None and len(known):
-            there = np.nonzero(self._standing._hits >= _SURE)[0]
-            followed = followed.held_against(self._standing._followed(there))
-        moved = have_moved(followed, _EVERY, MOST, self._since_lost)[: len(known)]
+        known = self.seen_often
+        moved = have_moved(self.followed(known), EVERY, MOST, self._since_lost)
         places = self._scale * self._places[known]
-        if self._restless is not None:
-            for k in np.nonzero(moved)[0]:
-                recent = self._seen_at(known[k])[-_LATELY:]
-                moved[k] = self._restless.sightings(recent) <= _RESTLESS
-        elif moved.any() and parts_of(places[moved]) > max(parts_of(places[~moved]), 1):
+        if moved.any() and parts_of(places[moved]) > max(parts_of(places[~moved]), 1):
             # Where most of what stands out moves, it is the scene, and the camera is known badly.
             moved[:] = False
+        self._remember_moved(known, moved)
+
+    def _remember_moved(self, known: Indices, moved: Mask) -> None:
+        """Remember which of the known tracks have moved; no other has."""
         for_frames = np.where(moved, np.maximum(self._moved_for[known], 1), 0)
         self._moved_for[:] = 0
         self._moved_for[known] = for_frames
 
-    def _followed(self, which: Counts) -> FollowedTargets:
+    @property
+    def seen_often(self) -> Indices:
+        """The tracks that were seen often enough to be judged."""
+        return np.nonzero(self._hits >= _SURE)[0]
+
+    def followed(self, which: Indices) -> FollowedTargets:
         """Return some of them as they are judged."""
         return FollowedTargets(
             self._paths[which],
