@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 
 import cv2
 import numpy as np
@@ -14,6 +16,8 @@ from support.drawn_scene import ByteImage, jaccard, texture
 from turbseg_ros.factory import motion_segmenter
 from turbseg_ros.parameters import Parameters
 from turbseg_ros.segmentation.frame import Frame, segment
+from turbseg_ros.segmentation.moving import Moving
+from turbseg_ros.segmentation.observer import StageObserver
 
 SHAPE = (120, 320)
 SIDE, TOP = 24, 48
@@ -57,6 +61,37 @@ def test_what_goes_faster_than_flow_follows_is_outlined_whole(
     assert np.mean(overlaps) > least
     # An object and no ghost of it.
     assert all(len(result.objects) <= 1 for result in results)
+
+
+class Looks(StageObserver):
+    """Remembers the frames, by stamp, in which what stands out was looked for."""
+
+    def __init__(self) -> None:
+        self.stamps: list[int] = []
+        self._stamp = 0
+
+    def motion(self, stamp: int, moving: Moving) -> None:
+        self._stamp = stamp
+
+    def stage(self, name: str) -> AbstractContextManager[object]:
+        if name == "what stands out":
+            self.stamps.append(self._stamp)
+        return contextlib.nullcontext()
+
+
+def test_a_calm_scene_is_looked_at_in_every_other_frame_until_something_comes() -> None:
+    looks = Looks()
+    comes = 60
+    places = [*([NOWHERE] * comes), *range(-20, 340, 13)]
+    frames = (Frame(number, image(place, number)) for number, place in enumerate(places))
+    results = list(segment(frames, motion_segmenter(Parameters(), looks)))
+    assert any(result.objects for result in results)
+    steps = np.diff([stamp for stamp in looks.stamps if stamp < comes])
+    assert set(steps) <= {1, 2}
+    assert np.mean(steps == 2) > 0.5
+    # It enters within a frame or two, and then is looked at in each.
+    entered = [stamp for stamp in looks.stamps if stamp > comes + 2]
+    assert entered == list(range(comes + 3, entered[-1] + 1))
 
 
 def closer(number: int) -> tuple[ByteImage, npt.NDArray[np.bool_]]:

@@ -164,6 +164,8 @@ class Outliner:
         # What the scene looked like before, as the frame of that index sees it.
         self._past: Past | None = None
         self._past_index = -1
+        # The last frame that was looked at and in which nothing was found.
+        self._empty_at = -1
         self._stopped = StoppedObjects(window, resolution, parameters.tracking)
         self._departed = DepartedObjects(window, resolution)
 
@@ -195,7 +197,9 @@ class Outliner:
         followed = target_areas(outlined, measured, self._resolution)
         measured |= union_mask([area.search_mask for area in followed], shape)
         moving = replace(moving, areas=[*moving.areas, *followed])
-        proposed = self._standing_areas(index, moving, measured, tilt)
+        # Where nothing was found, moves or is expected, it will do to look again a frame later.
+        calm = self._empty_at == index - 1 and not (moving.measured or moving.areas or expected)
+        proposed = [] if calm else self._standing_areas(index, moving, measured, tilt)
         proposed = _apart_or_whole(
             proposed, [each.outline for each in expected if not _leaves_soon(each)], shape
         )
@@ -230,7 +234,10 @@ class Outliner:
             found = [each for each in found if remains(each)]
             outlined = [each for each in outlined if remains(each.detection)]
         completed = self._stopped.completed(found, known, measured, image, tilt, stamp)
-        return with_targets(completed, outlined, expected, shape)
+        detections = with_targets(completed, outlined, expected, shape)
+        if not calm and not detections:
+            self._empty_at = index
+        return detections
 
     def remember(
         self, index: int, moving: Moving, observations: Sequence[Observation], stamp: int
