@@ -373,6 +373,23 @@ def test_an_outline_that_jumped_back_once_becomes_an_object_if_it_goes_with_its_
     assert confirmed_at(seen(x, 20, (0.8, 0.0), width=30) for x in places) is not None
 
 
+def test_what_begins_where_something_got_nowhere_must_come_clear_of_it() -> None:
+    tracker = tracker_of()
+    for _ in range(40):
+        update(tracker, [seen(60, 30, (2.0, 0.0), width=40, height=4)])
+    wait(tracker, 2)
+    going = [seen(60 + 2 * k, 30, (2.0, 0.0), width=40, height=4) for k in range(20)]
+    suspected = next(
+        frame
+        for frame, detection in enumerate(going)
+        if only(update(tracker, [detection])).track.confirmed
+    )
+    elsewhere = confirmed_at(going)
+    assert elsewhere is not None
+    # The root of its area, which is 13 pixels wide, not its length.
+    assert elsewhere < suspected <= 8
+
+
 def test_what_sways_widely_is_no_object_for_long() -> None:
     tracker = tracker_of()
     known = [

@@ -103,6 +103,20 @@ def test_alone_in_the_sky_a_target_is_believed_while_the_camera_is_known(
     assert len(tracks.moving_at(0)) == found
 
 
+@pytest.mark.parametrize(("turns", "count"), [(0.2, 0), (0.8, 1)])
+def test_what_stands_in_the_picture_moves_only_if_the_camera_turns(
+    turns: float, count: int
+) -> None:
+    # What turns more slowly than a camera that follows something is registration that drifts.
+    tracks = TargetTracks()
+    for index in range(round(20 / turns)):
+        passing = [(x - turns * index, y) for x, y in (*LAMPS, (170.0, 20.0), (160.0, 30.0))]
+        jitter = np.random.default_rng(index).normal(0.0, 0.4, 2)
+        seen = sky_with_dots([*passing, (START[0] + jitter[0], START[1] + jitter[1])], index)
+        tracks.take(blobs_in(seen), translation(-turns if index else 0.0, 0.0))
+    assert len(tracks.moving_at(0)) == count
+
+
 def test_a_target_has_the_same_number_in_all_its_frames() -> None:
     tracks = followed(straight(0.5), 60, LAMPS)
     numbers = {found.number for age in range(60) for found in tracks.moving_at(age)}

@@ -54,8 +54,8 @@ _FLICKER, _MIN_TILT, _FLICKER_HITS = 2.0, 0.2, 2
 _REDRAWN = 0.02
 # Share of its size that an object must have travelled to be certainly no clutter.
 _TRAVELLED = 0.5
-# Least displacement of what no flow shows to move, in roots of its area and, besides, in tilts,
-# and over its path length.
+# Least displacement of what no flow shows to move, and of what begins where something got nowhere,
+# in roots of its area and, besides, in tilts, and over its path length.
 _CLEAR, _SHIMMER, _STRAIGHT = 1.0, 3.0, 0.75
 # Frames more in which it must be seen: what flickers may leap straight on for some.
 _UNTOLD_HITS = 1
@@ -394,13 +394,12 @@ class KalmanTracker:
             return False
         if _opposes_flow(track):
             return False
-        least = self._significant_displacement(track, tilt)
-        if any(site.holds(track.start) for site in self._clutter_sites):
-            least = max(least, track.size)
-        if not track.detection.flow_known and (
-            track.hits < self._min_hits + _UNTOLD_HITS or not _gets_clear(track, tilt)
-        ):
+        suspect = any(site.holds(track.start) for site in self._clutter_sites)
+        if not track.detection.flow_known and track.hits < self._min_hits + _UNTOLD_HITS:
             return False
+        if (suspect or not track.detection.flow_known) and not _gets_clear(track, tilt):
+            return False
+        least = self._significant_displacement(track, tilt)
         wanted = max(least, _CONFIRMED_RATIO * sum(track.flow_speeds))
         if track.detection.truncated:
             if _comes_straight(track, least):

@@ -53,6 +53,8 @@ _SEEN, _PART = 0.6, 72
 _SPREAD = 80
 # Least displacement over path length, in steps of so many frames.
 _STRAIGHT, _STEP = 0.4, 4
+# Pixels a frame by which a camera that follows something turns at least.
+_TURNS = 0.4
 # Least deviation in the picture as it came, in pixels: less is burnt in, or stands still; and the
 # displacement against the scene from which it is burnt in.
 _JITTERS, _BURNT_IN = 0.25, 1.0
@@ -217,8 +219,25 @@ def _significant(
         faint = _WIDTH / targets.strengths[number]
         own = float(np.linalg.norm([shakes, drifted / np.sqrt(2.0), faint]))
         wanted = max(significant_displacement(own, 0.0, frames, every, chance), least)
+        if targets.scale == 1 and _stands_in_picture(targets, number, seen, wanted):
+            continue
         moved[number] = np.mean(relative > factor * wanted) >= _SHARE
     return moved
+
+
+def _stands_in_picture(targets: FollowedTargets, number: int, seen: Mask, wanted: float) -> bool:
+    """Whether a target stands in the picture of a camera that nearly stands.
+
+    Then it is registration that drifts. What a camera follows has it turn faster.
+
+    :param seen: the frames that show it, T.
+    :param wanted: the displacement that would be significant, in pixels.
+    """
+    sightings, path = targets.sightings[number][seen], targets.paths[number][seen]
+    end = min(_END, max(len(path) // 3, 1))
+    came, own = (way[-end:].mean(axis=0) - way[:end].mean(axis=0) for way in (sightings, path))
+    turned = np.hypot(*(came - own)) / np.ptp(np.nonzero(seen)[0])
+    return bool(np.hypot(*came) < wanted and turned < _TURNS)
 
 
 def _creeps(targets: FollowedTargets, number: int, seen: Mask) -> bool:
