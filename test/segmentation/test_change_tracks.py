@@ -8,6 +8,7 @@ import pytest
 from support.drawn_sky import LAMPS, SHAPE, START, Place, sky_with_dots, straight
 from turbseg_ros.segmentation.blobs import blobs_in
 from turbseg_ros.segmentation.change_tracks import ChangeTracks
+from turbseg_ros.segmentation.clutter import cells_of
 from turbseg_ros.segmentation.geometry import translation
 from turbseg_ros.segmentation.target_tracks import TargetTracks
 
@@ -21,8 +22,8 @@ def changing(
     :param known: cells of known objects.
     """
     standing = TargetTracks()
-    tracks = ChangeTracks(standing)
-    cells = np.zeros((SHAPE[0] // 4, SHAPE[1] // 4), bool) if known is None else known
+    tracks = ChangeTracks(standing, cells_of(SHAPE))
+    cells = np.zeros(cells_of(SHAPE), bool) if known is None else known
     for index in range(frames):
         motion = translation(drift if index else 0.0, 0.0)
         standing.take(blobs_in(sky_with_dots(LAMPS, index)), motion)
@@ -50,7 +51,7 @@ def test_what_changes_is_held_against_what_stands_in_the_picture() -> None:
 
 
 def test_no_target_begins_where_known_objects_are_or_were() -> None:
-    everywhere = np.ones((SHAPE[0] // 4, SHAPE[1] // 4), bool)
+    everywhere = np.ones(cells_of(SHAPE), bool)
     assert changing(straight(1.0), 24, known=everywhere).moving_at(0) == []
 
 

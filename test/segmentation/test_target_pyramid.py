@@ -11,6 +11,8 @@ from turbseg_ros.segmentation.blobs import blob_pyramid
 from turbseg_ros.segmentation.geometry import translation
 from turbseg_ros.segmentation.target_pyramid import TargetPyramid
 
+SHAPE = (240, 320)
+
 
 def boat_on_a_sea(places: Place, sea: float, frames: int) -> TargetPyramid:
     """Return what was followed of a dark boat on a plain sea before a camera that pans.
@@ -18,9 +20,9 @@ def boat_on_a_sea(places: Place, sea: float, frames: int) -> TargetPyramid:
     :param places: where the boat is in the picture, by frames.
     :param sea: pixels that the sea moves by in the picture a frame.
     """
-    targets = TargetPyramid()
+    targets = TargetPyramid(SHAPE)
     for index in range(frames):
-        picture = np.random.default_rng(index).normal(120.0, 1.0, (240, 320))
+        picture = np.random.default_rng(index).normal(120.0, 1.0, SHAPE)
         x, y = places(index)
         cv2.circle(picture, (round(x), round(y)), 10, 60.0, cv2.FILLED)
         seen = np.clip(np.rint(picture), 0, 255).astype(np.uint8)
@@ -55,9 +57,9 @@ def test_a_large_target_moves_unless_it_may_be_parallax(
 
 
 def test_targets_of_all_scales_have_numbers_of_their_own() -> None:
-    targets = TargetPyramid()
+    targets = TargetPyramid(SHAPE)
     for index in range(40):
-        picture = np.full((240, 320), 120, np.uint8)
+        picture = np.full(SHAPE, 120, np.uint8)
         cv2.circle(picture, (60 + 2 * index, 60), 10, 60, cv2.FILLED)
         cv2.circle(picture, (60 + 2 * index, 160), 1, 220, cv2.FILLED)
         targets.take(blob_pyramid(picture), np.eye(3))
@@ -67,6 +69,6 @@ def test_targets_of_all_scales_have_numbers_of_their_own() -> None:
 
 
 def test_nothing_is_followed_where_no_blobs_are_looked_for() -> None:
-    targets = TargetPyramid()
+    targets = TargetPyramid(SHAPE)
     targets.take((), np.eye(3))
     assert targets.moving_at(0) == []

@@ -7,8 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from turbseg_ros.arrays import Mask, Matrix
-from turbseg_ros.segmentation.blobs import MOST, Blobs, Points
-from turbseg_ros.segmentation.camera_state import CameraState
+from turbseg_ros.segmentation.blobs import MOST, Points
 from turbseg_ros.segmentation.restless_places import RestlessPlaces
 from turbseg_ros.segmentation.target_motion import CHANGED_STRONG, have_come
 from turbseg_ros.segmentation.target_tracks import EVERY, TargetTracks
@@ -26,50 +25,42 @@ class ChangeTracks(TargetTracks):
 
     _by_change = True
 
-    def __init__(self, standing: TargetTracks, numbers: Iterator[int] | None = None) -> None:
+    def __init__(
+        self, standing: TargetTracks, cells: tuple[int, int], numbers: Iterator[int] | None = None
+    ) -> None:
         """Set up tracks of nothing.
 
         :param standing: those of what stands out in the picture itself.
+        :param cells: rows and columns of cells that the pictures have.
         :param numbers: those of the targets to come.
         """
         super().__init__(1, numbers)
         self._standing = standing
-        # Where changes went nowhere; None before the size is known.
-        self._restless: RestlessPlaces | None = None
+        self._restless = RestlessPlaces(cells)
 
-    def take(
-        self,
-        blobs: Blobs,
-        ego_motion: Matrix,
-        state: CameraState = CameraState.STILL,
-        overlay: Mask | None = None,
-        known: Mask | None = None,
-    ) -> None:
-        """Take what stands out in the change of the next frame; see `TargetTracks.take`."""
-        if self._restless is not None:
-            self._restless.propagate(ego_motion)
-        elif known is not None:
-            self._restless = RestlessPlaces(known.shape)
-        super().take(blobs, ego_motion, state, overlay, known)
+    def _propagate(self, ego_motion: Matrix) -> None:
+        """Follow the camera to the next frame, with the places where changes went nowhere."""
+        super()._propagate(ego_motion)
+        self._restless.propagate(ego_motion)
 
     def _end(self, ended: Mask) -> None:
         """End some tracks, N, and remember the places of those that have gone nowhere."""
-        if self._restless is not None:
-            nowhere = ended & (self._moved_for == 0)
-            seen = ~np.isnan(self._raw[nowhere, :, 0])
-            self._restless.remember(self._paths[nowhere][seen])
+        nowhere = ended & (self._moved_for == 0)
+        seen = ~np.isnan(self._raw[nowhere, :, 0])
+        self._restless.remember(self._paths[nowhere][seen])
         super()._end(ended)
 
     def _judge(self) -> None:
         """Tell which tracks have moved significantly, and not where all is restless."""
         known = self.seen_often
         known = known[self._strengths[known] > CHANGED_STRONG]
-        standing = self._standing.followed(self._standing.seen_often)
-        moved = have_come(self.followed(known), standing, EVERY, MOST, self._since_lost)
-        if self._restless is not None:
-            for k in np.nonzero(moved)[0]:
-                recent = self._seen_at(known[k])[-_LATELY:]
-                moved[k] = self._restless.sightings(recent) <= _RESTLESS
+        moved = np.zeros(len(known), bool)
+        if len(known):
+            standing = self._standing.followed(self._standing.seen_often)
+            moved = have_come(self.followed(known), standing, EVERY, MOST, self._since_lost)
+        for k in np.nonzero(moved)[0]:
+            recent = self._seen_at(known[k])[-_LATELY:]
+            moved[k] = self._restless.sightings(recent) <= _RESTLESS
         self._remember_moved(known, moved)
 
     def _seen_at(self, number: int) -> Points:

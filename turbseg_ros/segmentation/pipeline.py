@@ -79,7 +79,7 @@ class Pipeline:
             self._travelled_objects,
         )
         self._scene = SceneMemory(parameters.regions.static_overlays, parameters.motion.averaging)
-        self._targets = TargetPyramid()
+        self._targets = TargetPyramid(resolution.processing_shape)
         self._regions = strategies.regions.fitted(resolution)
         self._tracked = -1  # The last frame's index.
         self._outliner = Outliner(

@@ -88,6 +88,13 @@ class FollowedTargets:
         return _Paths(self.paths)
 
     @functools.cached_property
+    def common(self) -> Points:
+        """The displacement (x, y) that most of them share, 0 where there are none."""
+        if not len(self.paths):
+            return np.zeros(2)
+        return np.asarray(np.median(self.tracked.displacements, axis=0))
+
+    @functools.cached_property
     def jitters(self) -> Mask:
         """Which of them aren't fixed to the picture, N."""
         return np.asarray(_deviations(self.sightings).max(axis=1) > _JITTERS)
@@ -115,14 +122,41 @@ class _Standard:
     :param frames: those that it must have been followed for, where little else speaks for it;
         `strength` is the least then.
     :param always: whether that is asked where others stand near, too.
-    :param is_other: whether a target's path, by its number and the frames that saw it, is rather
-        that of something else than an object.
+    :param exclusions: tell whether a target's way is rather that of something else than an object.
     """
 
     frames: int
     strength: float
     always: bool = False
-    is_other: Callable[[FollowedTargets, int, Mask], bool] = lambda targets, number, seen: False
+    exclusions: tuple[Callable[[_Way], bool], ...] = ()
+
+
+@dataclass(frozen=True)
+class _Way:
+    """The way of one target: its `path` and `sightings`, Tx2, see `FollowedTargets`.
+
+    `wanted` is the displacement that would be significant, in pixels.
+    """
+
+    path: Points
+    sightings: Points
+    wanted: float
+
+    @functools.cached_property
+    def seen(self) -> Indices:
+        """The frames that show it, at most T."""
+        return np.nonzero(~np.isnan(self.sightings[:, 0]))[0]
+
+    def displacements(self, end: int) -> tuple[Points, Points]:
+        """Return those against the scene and in the picture, (x, y), between means of its ends.
+
+        :param end: sightings that each is the mean of.
+        """
+        against, within = (
+            way[self.seen[-end:]].mean(axis=0) - way[self.seen[:end]].mean(axis=0)
+            for way in (self.path, self.sightings)
+        )
+        return against, within
 
 
 def have_moved(targets: FollowedTargets, every: int, tests: int, camera_known: int) -> Mask:
@@ -141,8 +175,7 @@ def have_moved(targets: FollowedTargets, every: int, tests: int, camera_known: i
         # Registration may hang on one thing, and the scene be what moves.
         return np.zeros(count, bool)
     standard = _SMALL if targets.scale == 1 else _LARGE
-    chance = chance_per_test(_FALSE_ALARMS_PER_HOUR, every, tests)
-    return _significant(targets, targets, standard, every, chance, camera_known)
+    return _significant(targets, targets, standard, every, tests, camera_known)
 
 
 def have_come(
@@ -158,18 +191,12 @@ def have_come(
 
     :param standing: what stands out in the picture, at the same scale.
     """
-    if not len(changes.paths):
-        return np.zeros(0, bool)
-    chance = chance_per_test(_FALSE_ALARMS_PER_HOUR, every, tests)
-    return _significant(changes, standing, _CHANGED, every, chance, camera_known)
+    return _significant(changes, standing, _CHANGED, every, tests, camera_known)
 
 
 def _apart(targets: FollowedTargets, others: FollowedTargets) -> Numbers:
     """Return how far targets have come, less what is common to others, N."""
-    common = np.zeros(2)
-    if len(others.paths):
-        common = np.median(others.tracked.displacements, axis=0)
-    return np.linalg.norm(targets.tracked.displacements - common, axis=1)
+    return np.linalg.norm(targets.tracked.displacements - others.common, axis=1)
 
 
 def _significant(
@@ -177,14 +204,14 @@ def _significant(
     others: FollowedTargets,
     standard: _Standard,
     every: int,
-    chance: float,
+    tests: int,
     camera_known: int,
 ) -> Mask:
     """Return which targets have travelled significantly against others near them that stand, N.
 
-    :param others: may be the same.
-    :param chance: how likely a test may be wrong.
+    See `have_moved`; the others may be the same.
     """
+    chance = chance_per_test(_FALSE_ALARMS_PER_HOUR, every, tests)
     moved = np.zeros(len(targets.paths), bool)
     paths, lengths = targets.tracked, targets.lengths
     # Most stand still, and those need no closer look.
@@ -211,65 +238,54 @@ def _significant(
         )
         if (alone or standard.always) and not believed:
             continue
-        if standard.is_other(targets, number, seen):
-            continue
         # Ends are means of a few places; drift is that of a displacement, which has two.
         drifted = _DRIFT * frames if alone else others.drift
         shakes = jitter(list(targets.paths[number][seen]), 0.0) / 2.0
         faint = _WIDTH / targets.strengths[number]
         own = float(np.linalg.norm([shakes, drifted / np.sqrt(2.0), faint]))
         wanted = max(significant_displacement(own, 0.0, frames, every, chance), least)
-        if targets.scale == 1 and _stands_in_picture(targets, number, seen, wanted):
+        way = _Way(targets.paths[number], targets.sightings[number], wanted)
+        if any(is_other(way) for is_other in standard.exclusions):
             continue
         moved[number] = np.mean(relative > factor * wanted) >= _SHARE
     return moved
 
 
-def _stands_in_picture(targets: FollowedTargets, number: int, seen: Mask, wanted: float) -> bool:
+def _stands_in_picture(way: _Way) -> bool:
     """Whether a target stands in the picture of a camera that nearly stands.
 
     Then it is registration that drifts. What a camera follows has it turn faster.
-
-    :param seen: the frames that show it, T.
-    :param wanted: the displacement that would be significant, in pixels.
     """
-    sightings, path = targets.sightings[number][seen], targets.paths[number][seen]
-    end = min(_END, max(len(path) // 3, 1))
-    came, own = (way[-end:].mean(axis=0) - way[:end].mean(axis=0) for way in (sightings, path))
-    turned = np.hypot(*(came - own)) / np.ptp(np.nonzero(seen)[0])
-    return bool(np.hypot(*came) < wanted and turned < _TURNS)
+    own, in_picture = way.displacements(min(_END, max(len(way.seen) // 3, 1)))
+    turned = np.hypot(*(in_picture - own)) / np.ptp(way.seen)
+    return bool(np.hypot(*in_picture) < way.wanted and turned < _TURNS)
 
 
-def _creeps(targets: FollowedTargets, number: int, seen: Mask) -> bool:
-    """Whether a target's path has led so slowly lately that it may be parallax.
-
-    :param seen: the frames that show it, T.
-    """
-    recent = targets.paths[number][seen][-_CREEP_SPAN:]
+def _creeps(way: _Way) -> bool:
+    """Whether a target's path has led so slowly lately that it may be parallax."""
+    recent = way.path[way.seen][-_CREEP_SPAN:]
     return bool(np.hypot(*(recent[-1] - recent[0])) < _CREEP * len(recent))
 
 
-def _rests_or_passes(targets: FollowedTargets, number: int, seen: Mask) -> bool:
-    """Whether a target's path has led nowhere lately, or may be parallax.
+def _rests(way: _Way) -> bool:
+    """Whether a target's path has led nowhere lately."""
+    return bool(np.hypot(*(way.path[-1] - way.path[-1 - _LATELY])) < _RESTS)
 
-    It may where it is short beside the scene's; what the camera follows has gone as far as the
-    scene has, against it.
 
-    :param seen: the frames that show it, T.
+def _passes_with_scene(way: _Way) -> bool:
+    """Whether a target's own way is so short beside the scene's that it may be parallax.
+
+    What the camera follows has gone as far as the scene has, against it.
     """
-    path = targets.paths[number]
-    if np.hypot(*(path[-1] - path[-1 - _LATELY])) < _RESTS:
-        return True
-    first, last = np.nonzero(seen)[0][[0, -1]]
-    own, in_picture = (
-        way[number, last] - way[number, first] for way in (targets.paths, targets.sightings)
-    )
+    own, in_picture = way.displacements(1)
     return bool(np.hypot(*own) < _PARALLAX * np.hypot(*(in_picture - own)))
 
 
-_SMALL = _Standard(_LONG, _STRONG)
-_LARGE = _Standard(_LARGE_LONG, _LARGE_STRONG, is_other=_rests_or_passes)
-_CHANGED = _Standard(_CHANGED_LONG, CHANGED_STRONG, always=True, is_other=_creeps)
+_SMALL = _Standard(_LONG, _STRONG, exclusions=(_stands_in_picture,))
+_LARGE = _Standard(_LARGE_LONG, _LARGE_STRONG, exclusions=(_rests, _passes_with_scene))
+_CHANGED = _Standard(
+    _CHANGED_LONG, CHANGED_STRONG, always=True, exclusions=(_creeps, _stands_in_picture)
+)
 
 
 def parts_of(places: Points) -> int:

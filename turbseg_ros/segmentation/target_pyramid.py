@@ -10,6 +10,7 @@ from turbseg_ros.segmentation.blobs import SCALES, Blobs
 from turbseg_ros.segmentation.camera_state import CameraState
 from turbseg_ros.segmentation.change_tracks import ChangeTracks
 from turbseg_ros.segmentation.changes import NO_CHANGES, Changes, SceneChanges
+from turbseg_ros.segmentation.clutter import cells_of
 from turbseg_ros.segmentation.cropped_mask import CroppedMask
 from turbseg_ros.segmentation.target_tracks import Target, TargetTracks
 from turbseg_ros.segmentation.window import FrameWindow
@@ -18,10 +19,14 @@ from turbseg_ros.segmentation.window import FrameWindow
 class TargetPyramid:
     """Follows what stands out at each of the `SCALES`, and in what has changed."""
 
-    def __init__(self) -> None:
+    def __init__(self, shape: tuple[int, ...]) -> None:
+        """Set up without targets.
+
+        :param shape: rows and columns of the pictures, at processing resolution.
+        """
         numbers = itertools.count(1)
         self._tracks = [TargetTracks(scale, numbers) for scale in SCALES]
-        self._changing = ChangeTracks(self._tracks[0], numbers)
+        self._changing = ChangeTracks(self._tracks[0], cells_of(shape), numbers)
         self._changes = SceneChanges()
 
     def follow(
