@@ -11,10 +11,10 @@ import pytest
 from support.drawn_clip import assert_sound, ids, segmented
 from support.drawn_scene import ByteImage, Mask, jaccard, texture
 from turbseg_ros.parameters import Parameters
-from turbseg_ros.segmentation import outliner
 from turbseg_ros.segmentation.camera_state import CameraState
 from turbseg_ros.segmentation.frame import SegmentationResult
 from turbseg_ros.segmentation.pipeline import Pipeline
+from turbseg_ros.segmentation.track import Track
 
 SHAPE = (144, 240)
 PARAMETERS = Parameters.from_mapping({"resolution.processing": 240})
@@ -61,7 +61,7 @@ def test_nothing_new_is_an_object_while_the_camera_slews() -> None:
 
 
 def test_without_that_rule_it_would_be(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(outliner, "_is_known_or_followed", lambda *_, **__: True)
+    monkeypatch.setattr(Track, "goes_with_scene", lambda _: False)
     assert any(result.objects for result in segmented(SLEW, PARAMETERS)[3:20])
 
 

@@ -540,6 +540,33 @@ def test_reset_frees_the_slots() -> None:
     assert follow(tracker, range(6), (5, 30), (3, 0)).track.slot == 0
 
 
+def confirmed_in_slew(step: float, scene: float, slew: int = 8, rest: int = 0) -> list[bool]:
+    """Whether what is seen in frames of a slew, and then in some of rest, is an object.
+
+    :param step: pixels by which it goes on in the picture from one frame of the slew to the next.
+    :param scene: those by which the scene does, as its registration has it.
+    """
+    tracker, told = tracker_of(), []
+    for number in range(slew + rest):
+        slews = number < slew
+        moved = pan(scene, 0.0) if 0 < number < slew else STILL_CAMERA
+        x = 50.0 + step * min(number, slew - 1)
+        detection = seen(x, 30.0, (step - scene if slews else 0.0, 0.0))
+        found = tracker.update([detection], moved, 0.1, PLAIN, slews)
+        told.append(any(each.track.confirmed for each in found))
+    return told
+
+
+def test_in_a_slew_nothing_becomes_an_object_that_goes_with_the_scene() -> None:
+    assert confirmed_in_slew(step=1.0, scene=6.0)[-1]
+    # A part of the scene, whose registration has come four of its six pixels.
+    assert not any(confirmed_in_slew(step=6.0, scene=4.0))
+
+
+def test_what_may_have_been_the_scene_in_a_slew_begins_anew_after_it() -> None:
+    assert not any(confirmed_in_slew(step=6.0, scene=4.0, rest=8))
+
+
 def test_ego_motion_carries_tracks_along() -> None:
     tracker = tracker_of()
     # The camera's pan moves the scene by (-10, 4), within which the object moves by (2, 0).

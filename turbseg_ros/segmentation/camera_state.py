@@ -60,6 +60,11 @@ class CameraTrack:
     motions: tuple[Matrix | None, ...] = ()
     outvoted: int = 0
 
+    @property
+    def slews(self) -> bool:
+        """Whether it moves too fast for frames to be compared."""
+        return self.state is CameraState.SLEWING
+
     def has_stood(self, size: tuple[int, int]) -> bool:
         """Whether it stood in its latest frames, and hasn't been taken to for too long.
 
@@ -98,7 +103,7 @@ class CameraTrack:
         # Within a slew, one frame more or less that can't be told changes nothing.
         state = moves if known or moves is CameraState.SLEWING else CameraState.LOST
         outvoted = registration is not None and registration.outvoted
-        ended = self.state is CameraState.SLEWING and state is not CameraState.SLEWING
+        ended = self.slews and state is not CameraState.SLEWING
         return CameraTrack(
             state=state,
             model=EgoMotionModel.NONE if registration is None else registration.model,

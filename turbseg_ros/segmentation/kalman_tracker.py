@@ -95,8 +95,9 @@ class KalmanTracker:
     """Constant-velocity Kalman filters, matched to detections by the Hungarian method.
 
     A track becomes an object once it was seen often enough and has travelled: what shimmers or
-    sways on the spot does not. It keeps its id and slot until it has been lost for `max_age`
-    frames. Ids count up and are never used again.
+    sways on the spot does not. Nor does what goes with the scene while the camera slews, for that
+    may be all it is. It keeps its id and slot until it has been lost for `max_age` frames. Ids
+    count up and are never used again.
     """
 
     def __init__(
@@ -127,6 +128,8 @@ class KalmanTracker:
         self._depth_order: DepthOrder[Track] = DepthOrder()
         self._companions = Companions()
         self._next_id = 1
+        # Whether the camera slewed in the last frame.
+        self._slewing = False
 
     @property
     def delay(self) -> int:
@@ -175,19 +178,26 @@ class KalmanTracker:
         ]
 
     def update(
-        self, detections: Sequence[Detection], ego_motion: Matrix, tilt: float, image: ByteImage
+        self,
+        detections: Sequence[Detection],
+        ego_motion: Matrix,
+        tilt: float,
+        image: ByteImage,
+        slewing: bool = False,
     ) -> list[Observation]:
         """Match a frame's detections to the tracks, and start tracks for the others.
 
         :param ego_motion: takes the last frame's pixels to this one's.
         :param tilt: rms turbulent motion an axis in pixels.
         :param image: HxWxC, this frame.
+        :param slewing: whether the camera is turned so fast that the scene may seem to move.
         :return: an observation for each track seen in this frame.
         """
         for track in self._tracks:
             track.propagate(ego_motion)
             track.follow(image, ego_motion)
         self._propagate_places(ego_motion)
+        self._note_slew(slewing)
         hidden = self._hidden(detections)
         detections = [detection for detection in detections if not detection.hidden]
         divided, detections, shared = self._divided(detections, tilt, image)
@@ -236,6 +246,14 @@ class KalmanTracker:
             for track, detection in coasted
             if track.misses == 0 and detection.area
         ]
+
+    def _note_slew(self, slewing: bool) -> None:
+        """Note whether the camera slews; after a slew, forget what may have been the scene."""
+        if self._slewing and not slewing:
+            self._tracks = [
+                track for track in self._tracks if track.confirmed or not track.goes_with_scene()
+            ]
+        self._slewing = slewing
 
     def _propagate_places(self, ego_motion: Matrix) -> None:
         """Take what is known of places without a track into the next frame."""
@@ -350,6 +368,8 @@ class KalmanTracker:
 
     def _confirm(self, track: Track, tilt: float) -> None:
         if track.confirmed or track.hits < self._min_hits or not track.detection.moving:
+            return
+        if self._slewing and track.goes_with_scene():
             return
         if track.detection.moves_significantly or self._behaves_like_object(track, tilt):
             track.confirmed = True

@@ -61,7 +61,12 @@ class KMeansIds:
         return []
 
     def update(
-        self, detections: Sequence[Detection], ego_motion: Matrix, tilt: float, image: ByteImage
+        self,
+        detections: Sequence[Detection],
+        ego_motion: Matrix,
+        tilt: float,
+        image: ByteImage,
+        slewing: bool = False,
     ) -> list[Observation]:
         """Take every detection for an object whose id is still open."""
         return self._take([Track.started(detection, tilt) for detection in detections])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol
@@ -11,11 +10,10 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from turbseg_ros.arrays import Mask, Matrix, Point
+from turbseg_ros.arrays import Mask, Matrix
 from turbseg_ros.parameters import Parameters
 from turbseg_ros.segmentation.areas import MovingArea
 from turbseg_ros.segmentation.background import AlignedFrame, MaskedImage, with_objects_masked
-from turbseg_ros.segmentation.camera_state import CameraState
 from turbseg_ros.segmentation.clutter import CELL, enlarged
 from turbseg_ros.segmentation.cropped_mask import EMPTY_MASK, CroppedMask, union_mask
 from turbseg_ros.segmentation.departed import DepartedObjects
@@ -27,7 +25,7 @@ from turbseg_ros.segmentation.exposure import (
 )
 from turbseg_ros.segmentation.foreground import Surroundings, foreground_masks
 from turbseg_ros.segmentation.front import Sides
-from turbseg_ros.segmentation.geometry import middle_displacement, translation
+from turbseg_ros.segmentation.geometry import translation
 from turbseg_ros.segmentation.motion import MotionEstimate
 from turbseg_ros.segmentation.moving import Moving
 from turbseg_ros.segmentation.observer import StageObserver
@@ -54,9 +52,6 @@ _BORDER = 8
 _MIN_SCENE = 0.5
 # Share of an outline that must lie where known objects should be, to count as theirs.
 _KNOWN = 0.5
-# Share of the scene's motion in the picture below which what moves there is what the camera
-# follows.
-_FOLLOWS = 0.4
 # Detail pixels from where a known object should be within which what stands out lies beside it,
 # and the share of it that must stand out to show it whole.
 _BESIDE, _WHOLE = 4, 0.8
@@ -227,12 +222,6 @@ class Outliner:
             for outline in outlines
             if outline.area >= _MIN_OUTLINE
         ]
-        if self._window[index].camera.state is CameraState.SLEWING:
-            remains = functools.partial(
-                _is_known_or_followed, expected=union_mask(known, shape), turn=self._turn(index)
-            )
-            found = [each for each in found if remains(each)]
-            outlined = [each for each in outlined if remains(each.detection)]
         completed = self._stopped.completed(found, known, measured, image, tilt, stamp)
         detections = with_targets(completed, outlined, expected, shape)
         if not calm and not detections:
@@ -316,11 +305,6 @@ class Outliner:
             frames.append(AlignedFrame(image, to_image, outlook.exposures[other].then(since)))
         return frames
 
-    def _turn(self, index: int) -> Point:
-        """Return by how much the scene in the middle of a frame has moved since the one before."""
-        motion = self._resolution.to_detail(self._window[index].from_previous)
-        return middle_displacement(motion, self._resolution.detail)
-
     def _exposure(self, source: int, target: int, to_source: Matrix) -> ColourExposure:
         """Return what takes the values of one frame to those of another, channel by channel."""
         here, there = self._window[target], self._window[source]
@@ -369,21 +353,6 @@ def _in_scene(
         for seen, outline in zip(left, outlines, strict=True)
         if seen.area > _MIN_SCENE * outline.area
     ]
-
-
-def _is_known_or_followed(seen: Detection, expected: Mask, turn: Point) -> bool:
-    """Whether a detection is of a known object, or of what the camera turns to follow.
-
-    That nearly stands in the picture. All else that seems to move while the camera is turned fast
-    may be the scene.
-
-    :param expected: HxW, where known objects should be.
-    :param turn: by how much the scene moves in the picture, in pixels a frame.
-    """
-    if seen.outline.intersection_area(expected) > _KNOWN * seen.area:
-        return True
-    slow = _FOLLOWS * float(np.linalg.norm(turn))
-    return seen.flow_known and float(np.linalg.norm(np.add(seen.velocity, turn))) < slow
 
 
 def _apart_or_whole(

@@ -125,7 +125,7 @@ class Pipeline:
             self._observer.detections(frame.stamp, detections, resolution)
             # Tracks: which object is which of those before (eq. 4).
             with self._observer.stage("tracking"):
-                observations = tracker.update(detections, ego_motion, tilt, image)
+                observations = tracker.update(detections, ego_motion, tilt, image, camera.slews)
             self._outliner.remember(index, moving, observations, frame.stamp)
 
         self._tracked = index

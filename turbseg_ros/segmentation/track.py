@@ -32,6 +32,8 @@ _TRAIL_LENGTH = 60
 _MIN_DISPLACEMENT_RATIO = 0.25
 # Frames over which an object's displacement is compared with its flow's.
 _DISPLACEMENT_SPAN = 24
+# Share of the scene's way in the picture from which on something goes with it.
+_WITH_SCENE = 0.5
 # Share of an object that must be seen beside others for its place to be told by that.
 _MIN_VISIBLE = 0.2
 # Frames in which what stands out, and no flow shows to move, covers its own size if it goes on.
@@ -115,8 +117,9 @@ class Track:
     `detection` is what was seen of it last, when its centroid, hidden parts included, was at
     `seen_at`; `front` is how its front end has come where the border cuts it off; `appearance` is
     what it looked like when last seen whole, None until it is an object. `start` is where it was
-    seen first; `sightings` are its centroids, `clutter` what their places move by, the oldest
-    first; `targets` the numbers of the small targets that it showed last. `template` is what it
+    seen first, and `picture_start` where that was in the picture then, which doesn't move with the
+    scene; `sightings` are its centroids, `clutter` what their places move by, the oldest first;
+    `targets` the numbers of the small targets that it showed last. `template` is what it
     looked like in the frame before where flow doesn't tell how fast it is, `steps` are the
     displacements against the scene that its picture told, and `followed` tells whether it did in
     this frame.
@@ -125,6 +128,7 @@ class Track:
     detection: Detection
     kalman: cv2.KalmanFilter
     start: Point
+    picture_start: Point
     seen_at: Point
     appearance: AppearanceModel | None = None
     id: int = 0
@@ -156,6 +160,7 @@ class Track:
             detection,
             _kalman_at(detection, tilt),
             start=centroid,
+            picture_start=centroid,
             seen_at=centroid,
             sightings=[centroid],
             clutter=[detection.clutter],
@@ -181,6 +186,15 @@ class Track:
         """
         recent = self.shape_ious[-frames:]
         return len(recent) < known or float(np.mean(recent)) >= least
+
+    def goes_with_scene(self) -> bool:
+        """Whether it has come with the scene in the picture since it was seen first.
+
+        So does what is the scene, however wrong its registration is, but not what the camera
+        turns to follow.
+        """
+        scene, came = self.start - self.picture_start, self.position - self.picture_start
+        return float(came @ scene) > _WITH_SCENE * float(scene @ scene)
 
     def gets_nowhere(self) -> bool:
         """Whether its displacement has long been a small part of what its flow adds up to."""
@@ -472,13 +486,19 @@ class Tracker(Protocol):
         """
 
     def update(
-        self, detections: Sequence[Detection], ego_motion: Matrix, tilt: float, image: ByteImage
+        self,
+        detections: Sequence[Detection],
+        ego_motion: Matrix,
+        tilt: float,
+        image: ByteImage,
+        slewing: bool = False,
     ) -> list[Observation]:
         """Return an observation for each detection that stands for a track.
 
         :param ego_motion: takes the last frame's pixels to this one's.
         :param tilt: rms turbulent motion an axis in pixels.
         :param image: HxWxC, this frame.
+        :param slewing: whether the camera is turned so fast that the scene may seem to move.
         """
 
     def coast(self, ego_motion: Matrix, shape: tuple[int, int]) -> list[Observation]:
