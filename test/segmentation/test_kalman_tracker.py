@@ -390,6 +390,24 @@ def test_what_begins_where_something_got_nowhere_must_come_clear_of_it() -> None
     assert elsewhere < suspected <= 8
 
 
+def test_where_an_object_that_had_travelled_gets_nowhere_others_begin_as_elsewhere() -> None:
+    def bar(x: float) -> Detection:
+        return seen(x, 30, (2.0, 0.0), width=40, height=4)
+
+    tracker = tracker_of()
+    for k in range(20):
+        update(tracker, [bar(20 + 2 * k)])
+    for _ in range(60):
+        # It has stopped, and flow says that it has not.
+        update(tracker, [bar(58)])
+        if not tracker.expected_objects(STILL_CAMERA, (96, 160)):
+            break
+    wait(tracker, 2)
+    going = [bar(60 + 2 * k) for k in range(20)]
+    told = [only(update(tracker, [detection])).track.confirmed for detection in going]
+    assert told.index(True) == confirmed_at(going)
+
+
 def test_what_sways_widely_is_no_object_for_long() -> None:
     tracker = tracker_of()
     known = [

@@ -174,7 +174,7 @@ class KalmanTracker:
         return [
             track.expected(ego_motion, shape, frames).outline
             for track in self._tracks
-            if track.confirmed and track.travelled > _TRAVELLED * track.size
+            if _has_travelled(track)
         ]
 
     def update(
@@ -444,7 +444,11 @@ class KalmanTracker:
     def _drop_lost(self) -> None:
         parts = self._companions.parts()
         stuck = [track for track in self._tracks if track.gets_nowhere() and not track.stands]
-        self._clutter_sites += [_ClutterSite(track.position, track.size) for track in stuck]
+        self._clutter_sites += [
+            _ClutterSite(track.position, track.size)
+            for track in stuck
+            if not _has_travelled(track)
+        ]
         lost = [
             track
             for track in self._tracks
@@ -470,6 +474,11 @@ class KalmanTracker:
     def _end(self, track: Track) -> None:
         if track.slot >= 0:
             self._free_slots = sorted([*self._free_slots, track.slot])
+
+
+def _has_travelled(track: Track) -> bool:
+    """Whether an object has travelled so far that it is certainly no clutter."""
+    return track.confirmed and track.travelled > _TRAVELLED * track.size
 
 
 def _flickers(track: Track, tilt: float) -> bool:
