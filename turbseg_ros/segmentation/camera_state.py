@@ -38,7 +38,7 @@ class CameraState(enum.Enum):
     FOLLOWING = "following"
     """It pans or zooms steadily, slowly enough for frames to be compared."""
     SLEWING = "slewing"
-    """It moves too fast for that: nothing new is taken for an object."""
+    """It moves too fast for that: nothing that goes with the scene becomes an object."""
     LOST = "lost"
     """Its motion can't be told: the frame has nothing to hold on to, or shows no scene."""
 

@@ -119,10 +119,9 @@ class Track:
     what it looked like when last seen whole, None until it is an object. `start` is where it was
     seen first, and `picture_start` where that was in the picture then, which doesn't move with the
     scene; `sightings` are its centroids, `clutter` what their places move by, the oldest first;
-    `targets` the numbers of the small targets that it showed last. `template` is what it
-    looked like in the frame before where flow doesn't tell how fast it is, `steps` are the
-    displacements against the scene that its picture told, and `followed` tells whether it did in
-    this frame.
+    `targets` the numbers of the small targets that it showed last. `template` is what it looked
+    like in the frame before where flow doesn't tell how fast it is, `steps` are the displacements
+    against the scene that its picture told, and `followed` tells whether it did in this frame.
     """
 
     detection: Detection
