@@ -51,8 +51,9 @@ def update(
     detections: Sequence[Detection],
     ego_motion: np.ndarray = STILL_CAMERA,
     tilt: float = 0.1,
+    slewing: bool = False,
 ) -> list[Observation]:
-    return tracker.update(detections, ego_motion, tilt, PLAIN)
+    return tracker.update(detections, ego_motion, tilt, PLAIN, slewing)
 
 
 def only(observations: Sequence[Observation]) -> Observation:
@@ -558,21 +559,22 @@ def test_reset_frees_the_slots() -> None:
     assert follow(tracker, range(6), (5, 30), (3, 0)).track.slot == 0
 
 
-def confirmed_in_slew(step: float, scene: float, slew: int = 8, rest: int = 0) -> list[bool]:
-    """Whether what is seen in frames of a slew, and then in some of rest, is an object.
+def confirmed_in_slew(step: float, scene: float, rest: int = 0) -> list[bool]:
+    """Whether what is seen in eight frames of a slew, and then in some of rest, is an object.
 
     :param step: pixels by which it goes on in the picture from one frame of the slew to the next.
     :param scene: those by which the scene does, as its registration has it.
     """
-    tracker, told = tracker_of(), []
-    for number in range(slew + rest):
-        slews = number < slew
-        moved = pan(scene, 0.0) if 0 < number < slew else STILL_CAMERA
-        x = 50.0 + step * min(number, slew - 1)
-        detection = seen(x, 30.0, (step - scene if slews else 0.0, 0.0))
-        found = tracker.update([detection], moved, 0.1, PLAIN, slews)
-        told.append(any(each.track.confirmed for each in found))
-    return told
+    tracker = tracker_of()
+    passing = [seen(50.0 + step * k, 30.0, (step - scene, 0.0)) for k in range(8)]
+    resting = [seen(50.0 + step * 7, 30.0)] * rest
+    turns = [STILL_CAMERA, *[pan(scene, 0.0)] * 7]
+    found = [
+        update(tracker, [detection], turn, slewing=True)
+        for detection, turn in zip(passing, turns, strict=True)
+    ]
+    found += [update(tracker, [detection]) for detection in resting]
+    return [only(each).track.confirmed for each in found]
 
 
 def test_in_a_slew_nothing_becomes_an_object_that_goes_with_the_scene() -> None:
